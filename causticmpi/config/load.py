@@ -1,0 +1,133 @@
+"""A config file and the command line's overrides -> one validated RenderConfig."""
+
+import copy
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from causticmpi.config.check import check_budget, check_camera, check_film
+from causticmpi.config.convert import convert
+from causticmpi.config.records import RenderConfig
+from causticmpi.config.yaml_source import Keys, YamlSource, parse_yaml, read_yaml
+from causticmpi.errors import InputError
+
+OPTIONS: dict[str, Keys] = {
+    "--method": ("method",),
+    "--time": ("budget", "time"),
+    "--spp": ("budget", "spp"),
+    "--seed": ("seed",),
+    "--out": ("output", "directory"),
+}
+"""Options of the command line that are short for a key."""
+_TEXT_OPTIONS = ("--method", "--time", "--out")
+_BUDGETS = {"time": "spp", "spp": "time"}
+
+
+def load_config(path: str | Path, overrides: Mapping[str, str] | Sequence[str] = ()) -> RenderConfig:
+    """Read, override and validate a config file; `budget.time` of the result is in seconds.
+
+    overrides: {"film.width": "320"} or ["film.width=320"], values in YAML; a key may also be one of OPTIONS
+    ({"--spp": "16"} or ["--spp=16"]). The file is validated whole before they apply. `budget.time` replaces the
+    file's `budget.spp`, and the reverse. Raises InputError that names file:line, or the override to blame.
+    """
+    source = read_yaml(path)
+    config = _validated(source)
+    parsed = list(_parsed(overrides))
+    if not parsed:
+        return config
+    changed = YamlSource(source.file, copy.deepcopy(source.data), dict(source.places))
+    for origin, keys, value in parsed:
+        _apply(changed, origin, keys, value)
+    return _validated(changed)
+
+
+def scene_path(config_path: str | Path, config: RenderConfig) -> Path:
+    """Path of the scene file: relative to the config file that names it."""
+    return Path(config_path).parent / config.scene
+
+
+def _validated(source: YamlSource) -> RenderConfig:
+    config = convert(source, (), source.data, RenderConfig)
+    try:
+        check_film(config.film)
+    except InputError as error:
+        raise _blame(source, "film", ("crop", "width", "height"), error) from None
+    try:
+        budget = check_budget(config.budget)
+    except InputError as error:
+        raise _blame(source, "budget", ("time", "spp"), error) from None
+    if config.camera is not None:
+        try:
+            check_camera(config.camera)
+        except InputError as error:
+            raise _blame(source, "camera", ("eye", "target", "up"), error) from None
+    for keys, text in ((("scene",), config.scene), (("output", "directory"), config.output.directory)):
+        if not text.strip():
+            raise source.error(keys, 'found ""; allowed: a path; write one')
+    return msgspec.structs.replace(config, budget=budget)
+
+
+def _blame(source: YamlSource, section: str, keys: tuple[str, ...], error: InputError) -> InputError:
+    """The error at the key to mend: the one the command line set, else the one the message names, else the section."""
+    present: list[Keys] = [(section, key) for key in keys if (section, key) in source.places]
+    overridden = [at for at in present if isinstance(source.place(at), str)]
+    named = [at for at in present if str(error).startswith(f"{at[1]}:")]
+    at: Keys = (overridden or named or [(section,)])[0]
+    place = source.place(at)
+    text = f"{section}: {error}" if not str(error).startswith(f"{at[-1]}:") else f"{section}.{error}"
+    return InputError(text, place) if isinstance(place, str) else InputError(text, source.file, place)
+
+
+def _parsed(overrides: Mapping[str, str] | Sequence[str]) -> Iterator[tuple[str, Keys, Any]]:
+    """(name for errors, keys, value) of every override."""
+    pairs = overrides.items() if isinstance(overrides, Mapping) else map(_split, overrides)
+    for key, raw in pairs:
+        text = str(raw)
+        if key.startswith("--"):
+            if key not in OPTIONS:
+                raise InputError(f"unknown option; allowed: {', '.join(OPTIONS)}", f"{key} {text}")
+            origin, keys = f"{key} {text}", OPTIONS[key]
+        else:
+            origin, keys = f"--set {key}={text}", tuple(key.split("."))
+        if not all(keys):
+            raise InputError("found an empty key; allowed: key.sub=value; write for example film.width=320", origin)
+        yield origin, keys, text if key in _TEXT_OPTIONS else _value(text, origin)
+
+
+def _split(override: str) -> tuple[str, str]:
+    key, equals, text = override.partition("=")
+    if not equals:
+        raise InputError("found no `=`; allowed: key.sub=value; write for example film.width=320", f"--set {override}")
+    return key.strip(), text
+
+
+def _value(text: str, origin: str) -> Any:
+    return parse_yaml(text, lambda message, line: InputError(message.lstrip(": "), origin), {})
+
+
+def _apply(source: YamlSource, origin: str, keys: Keys, value: Any) -> None:
+    """Set one key in the data, and remember the override as its place."""
+    node = source.data
+    for end, key in enumerate(keys[:-1], 1):
+        if not isinstance(node.get(key), dict):
+            # A section the file does not have, or a value that has no keys: conversion will say which.
+            node[key] = {}
+            _forget(source, keys[:end])
+            source.places[keys[:end]] = origin
+        node = node[key]
+    _forget(source, keys)
+    node[keys[-1]] = value
+    source.places[keys] = origin
+    if keys[0] == "budget" and len(keys) == 2 and keys[1] in _BUDGETS and value is not None:
+        rival = ("budget", _BUDGETS[str(keys[1])])
+        # Two limits from the command line contradict each other; one from the file gives way.
+        if not isinstance(source.places.get(rival, 1), str):
+            node.pop(rival[1], None)
+            source.places.pop(rival, None)
+
+
+def _forget(source: YamlSource, keys: Keys) -> None:
+    for inner in [place for place in source.places if place[: len(keys)] == keys]:
+        del source.places[inner]

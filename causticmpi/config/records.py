@@ -1,0 +1,96 @@
+"""What a config file may say, as frozen records: one record per YAML section, defaults included.
+
+The records validate themselves (types, ranges, unknown keys) when `causticmpi.config.load` converts the YAML.
+"""
+
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+Positive = Annotated[float, Meta(gt=0)]
+PositiveInt = Annotated[int, Meta(ge=1)]
+Count = Annotated[int, Meta(ge=0)]
+Vector = tuple[float, float, float]
+Method = Literal["pt", "pt-brute", "iws", "iws+cf"]
+
+
+class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Base of every section: immutable, and a key that does not exist is an error."""
+
+
+class Camera(Record):
+    """Pinhole camera. Lengths in scene units; `fov` is vertical, in degrees."""
+
+    eye: Vector
+    target: Vector
+    up: Vector = (0.0, 1.0, 0.0)
+    fov: Annotated[float, Meta(gt=0, lt=180)] = 39.3
+
+
+class Film(Record):
+    """Picture size in pixels; `crop` = [x0, y0, x1, y1], half open, renders a part at the same pixels."""
+
+    width: PositiveInt = 640
+    height: PositiveInt = 640
+    filter: Literal["box"] = "box"
+    crop: tuple[Count, Count, Count, Count] | None = None
+
+
+class Budget(Record):
+    """Wall-clock time ("30s", "4min", "1h", or a number of seconds) or samples per pixel: one of them."""
+
+    time: str | float | None = None
+    spp: PositiveInt | None = None
+
+
+class Iws(Record):
+    """Illumination by Weak Singularities [CF sec. 3.1].
+
+    paths: particle paths per pass; bound: b of the geometry term in scene units^-2, `auto` derives it from the scene;
+    deep_lights: virtual lights looked at from the second diffuse vertex on (an unbiased random subset).
+    """
+
+    paths: PositiveInt = 64
+    bound: Positive | Literal["auto"] = "auto"
+    deep_lights: PositiveInt = 4
+
+
+class Forecast(Record):
+    """Caustic Forecasting [CF sec. 3.2].
+
+    photons: caustic points to collect; clusters: codewords of the vector quantization; neighbours: n of the gather;
+    table: bins in azimuth and cosine; max_rank: clusters of a higher rank are sampled by the cosine alone;
+    splitting: samples of each table at rank 0 and diffuse depth 0; radius, overlap: gather radius and the epsilon
+    around a cluster in scene units, `auto` derives them from the average photon density.
+    """
+
+    photons: Count = 200_000
+    clusters: PositiveInt = 256
+    neighbours: PositiveInt = 50
+    table: tuple[PositiveInt, PositiveInt] = (32, 16)
+    max_rank: Count = 8
+    splitting: PositiveInt = 4
+    radius: Positive | Literal["auto"] = "auto"
+    overlap: Positive | Literal["auto"] = "auto"
+
+
+class Output(Record):
+    """Where the pictures go, and how often a progressive one is written (seconds)."""
+
+    directory: str = "out"
+    interval: Positive = 10.0
+
+
+class RenderConfig(Record):
+    """A whole config file. `scene` is a path relative to the file that names it."""
+
+    scene: str
+    film: Film = Film()
+    camera: Camera | None = None
+    method: Method = "iws+cf"
+    budget: Budget = Budget(spp=16)
+    seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 1
+    iws: Iws = Iws()
+    forecast: Forecast = Forecast()
+    output: Output = Output()

@@ -1,0 +1,189 @@
+"""The MPI world. Importing this module loads and initializes MPI; `world.open_world` does so under a launcher only.
+
+Every MPI burns its core in a blocking wait, so that 19 waiting ranks slow down the one that works. Hence only
+non-blocking calls are made here, polled with a sleep; the few blocking ones (splitting, freeing) follow a polled
+barrier, when all ranks are known to be there. Sleeping also lets Python's signal handlers run.
+"""
+
+import atexit
+import pickle
+import sys
+import time
+from collections.abc import Callable
+from typing import Any, NoReturn, TypeVar, cast
+
+import numpy as np
+from mpi4py import MPI
+
+from causticmpi.distributed.world import AgreedInputError, Arrays, World, require_summable
+from causticmpi.errors import InputError
+
+T = TypeVar("T")
+
+SHORTEST_SLEEP = 50e-6
+LONGEST_SLEEP = 2e-3
+BULK_SLEEP = 100e-6
+"""While data flows every poll moves a piece of it, so long sleeps would throttle the transfer."""
+
+REDUCE_CHUNK = 1 << 20
+"""Elements per reduction: bounds the library's temporary memory and keeps counts far from 2^31."""
+
+PICKLE_CHUNK = 1 << 28
+FAILURE_TAG = 1
+FAILURE_PATIENCE = 0.3
+
+
+def wait(request: MPI.Request, longest: float = LONGEST_SLEEP) -> None:
+    """Wait for a request asleep: polls after 50 us at first, then ever less often, at least every `longest` s."""
+    pause = SHORTEST_SLEEP
+    while not request.Test():
+        time.sleep(pause)
+        pause = min(1.5 * pause, longest)
+
+
+def broadcast_bytes(comm: MPI.Intracomm, data: bytes | None, root: int) -> bytes:
+    """Collective on `comm`. The root's bytes: length first, then chunks."""
+    length = np.array([len(data) if data is not None else 0], dtype=np.int64)
+    wait(comm.Ibcast(length, root))
+    block = np.empty(int(length[0]), dtype=np.uint8)
+    if data is not None:
+        block[:] = np.frombuffer(data, dtype=np.uint8)
+    for start in range(0, len(block), PICKLE_CHUNK):
+        wait(comm.Ibcast(block[start : start + PICKLE_CHUNK], root), BULK_SLEEP)
+    return block.tobytes()
+
+
+class MpiWorld(World):
+    """All processes of MPI_COMM_WORLD; the contract is World's.
+
+    comm     all ranks
+    node     the ranks that share memory with this one
+    leaders  the lowest rank of each node, rank 0 first; MPI.COMM_NULL on other ranks
+    """
+
+    def __init__(self, ranks_per_node: int | None = None) -> None:
+        self.comm = MPI.COMM_WORLD
+        self.rank, self.size = self.comm.rank, self.comm.size
+        self.library = MPI.Get_library_version().splitlines()[0].split(", package")[0].strip()
+        self.barrier()
+        node = self.comm.Split_type(MPI.COMM_TYPE_SHARED, key=self.rank)
+        if ranks_per_node is not None:
+            node = node.Split(node.rank // ranks_per_node, node.rank)
+        self.node = cast(MPI.Intracomm, node)
+        self.node_rank, self.node_size = self.node.rank, self.node.size
+        self.leaders = self.comm.Split(0 if self.is_node_leader else MPI.UNDEFINED, self.rank)
+        start = (MPI.Get_processor_name(), self.is_node_leader)
+        everyone: list[tuple[str, bool]] = self.broadcast(self.gather(start))
+        self._hosts = [host for host, _ in everyone]
+        self.node_count = sum(leader for _, leader in everyone)
+        self._closed = False
+        self._shared: list[Any] = []
+        # Runs before mpi4py's own end: nothing stays in /dev/shm, and nobody spins in MPI_Finalize for a late rank.
+        atexit.register(self.close)
+
+    def hosts(self) -> list[str]:
+        return list(self._hosts)
+
+    def broadcast(self, obj: Any, root: int = 0) -> Any:
+        data = broadcast_bytes(self.comm, pickle.dumps(obj) if self.rank == root else None, root)
+        return obj if self.rank == root else pickle.loads(data)
+
+    def gather(self, obj: Any) -> list[Any] | None:
+        data = np.frombuffer(pickle.dumps(obj), dtype=np.uint8)
+        lengths = np.empty(self.size, dtype=np.int64) if self.is_root else None
+        wait(self.comm.Igather(np.array([len(data)], dtype=np.int64), lengths, 0))
+        if lengths is None:
+            wait(self.comm.Igatherv(data, None, 0))
+            return None
+        ends = np.cumsum(lengths)
+        block = np.empty(int(ends[-1]), dtype=np.uint8)
+        wait(self.comm.Igatherv(data, [block, lengths.tolist(), (ends - lengths).tolist(), MPI.BYTE], 0))
+        return [pickle.loads(part.tobytes()) for part in np.split(block, ends[:-1])]
+
+    def share(self, arrays: Arrays | None) -> Arrays:
+        from causticmpi.distributed.shared_arrays import share
+
+        shared = share(self, arrays)
+        self._shared.append(shared)
+        return shared
+
+    def reduce_sum(self, array: np.ndarray) -> np.ndarray | None:
+        require_summable(array)
+        source = np.ascontiguousarray(array).reshape(-1)
+        total = np.empty_like(source) if self.is_root else None
+        for start in range(0, len(source), REDUCE_CHUNK):
+            part = slice(start, start + REDUCE_CHUNK)
+            wait(self.comm.Ireduce(source[part], None if total is None else total[part], MPI.SUM, 0))
+        return None if total is None else total.reshape(array.shape)
+
+    def all_min(self, value: int) -> int:
+        return self._all(value, MPI.MIN)
+
+    def all_max(self, value: int) -> int:
+        return self._all(value, MPI.MAX)
+
+    def _all(self, value: int, operation: MPI.Op) -> int:
+        result = np.empty(1, dtype=np.int64)
+        wait(self.comm.Iallreduce(np.array([value], dtype=np.int64), result, operation))
+        return int(result[0])
+
+    def barrier(self) -> None:
+        wait(self.comm.Ibarrier())
+
+    def agree(self, error: InputError | None) -> None:
+        lowest = self.all_min(self.size if error is None else self.rank)
+        if lowest < self.size:
+            raise AgreedInputError(self.broadcast(str(error), root=lowest)) from error
+
+    def first_on_node(self, action: Callable[[], T]) -> T:
+        result: list[T] = []
+        refusal: InputError | None = None
+        if self.is_node_leader:
+            try:
+                result.append(action())
+            except InputError as error:
+                refusal = error
+            except BaseException:
+                broadcast_bytes(self.node, b"failed", 0)
+                raise
+            broadcast_bytes(self.node, b"", 0)
+        elif broadcast_bytes(self.node, None, 0):
+            raise RuntimeError("the first rank of this node failed before this one's turn")
+        self.agree(refusal)
+        return result[0] if result else action()
+
+    def is_first_failure(self) -> bool:
+        """True if this failing rank is the one to print: a defect often shows on all ranks at once.
+
+        Failing ranks tell all others and wait a moment: who hears of an earlier failure, or of a lower rank, is silent.
+        """
+        if self.comm.Iprobe(MPI.ANY_SOURCE, FAILURE_TAG):
+            return False
+        for other in range(self.size):
+            if other != self.rank:
+                self.comm.Isend(np.empty(0, dtype=np.uint8), other, FAILURE_TAG)
+        end = time.monotonic() + FAILURE_PATIENCE
+        while time.monotonic() < end:
+            for lower in range(self.rank):
+                if self.comm.Iprobe(lower, FAILURE_TAG):
+                    return False
+            time.sleep(0.02)
+        return True
+
+    def abort(self, code: int) -> NoReturn:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        self.comm.Abort(code)
+        raise SystemExit(code)  # not reached: MPI_Abort does not return
+
+    def close(self) -> None:
+        if self._closed or MPI.Is_finalized():
+            return
+        self._closed = True
+        for shared in self._shared:
+            shared.free()
+        self.barrier()
+        # Never used again, and an unfreed communicator is reported as a leak by some libraries.
+        if self.leaders != MPI.COMM_NULL:
+            self.leaders.Free()
+        self.node.Free()

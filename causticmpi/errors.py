@@ -1,0 +1,12 @@
+"""The one kind of error a user can mend: bad input. Everything else is a defect and ends with code 1."""
+
+
+class InputError(Exception):
+    """Bad input: one line that says where, what was found, what is allowed and how to mend it.
+
+    The command line prints it once and exits with code 2; nothing has been written by then.
+    """
+
+    def __init__(self, message: str, file: object = None, line: int | None = None) -> None:
+        where = "" if file is None else f"{file}: " if line is None else f"{file}:{line}: "
+        super().__init__(where + " ".join(message.split()))

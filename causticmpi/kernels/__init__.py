@@ -1,0 +1,1 @@
+"""Pure compiled code: it knows neither rank, nor file, nor clock."""

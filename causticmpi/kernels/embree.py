@@ -1,0 +1,194 @@
+"""Embree: its C library builds the tree, and its entry points are called from inside compiled kernels.
+
+The library is the one that the `embreex` wheel ships. Entry points are declared by name, so that kernels that call them
+can be cached on disk (a function pointer could not). One thread and one device a process: ranks are the parallelism.
+"""
+
+import ctypes
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+from llvmlite import binding as llvm
+from numba import types
+
+from causticmpi.kernels.jit import inline
+from causticmpi.kernels.vec import ONE, ZERO
+
+_TYPE_TRIANGLE, _TYPE_SPHERE = 0, 50
+_BUFFER_INDEX, _BUFFER_VERTEX = 0, 1
+_FORMAT_UINT3, _FORMAT_FLOAT3, _FORMAT_FLOAT4 = 0x5003, 0x9003, 0x9004
+_QUALITY_HIGH, _SCENE_ROBUST = 2, 1 << 2
+_PROPERTY_VERSION, _PROPERTY_NATIVE_16 = 0, 34
+MISS = np.uint32(0xFFFFFFFF)
+TRIANGLES, SPHERES = 0, 1
+"""Geometry ids inside an Embree scene."""
+
+
+def _library_path() -> Path:
+    spec = find_spec("embreex")
+    if spec is None or spec.origin is None:
+        raise ImportError("embreex is not installed: pip install embreex")
+    found = sorted((Path(spec.origin).parents[1] / "embreex.libs").glob("libembree4*.so*"))
+    if not found:
+        raise ImportError("the embreex package holds no Embree 4 library: pip install --force-reinstall embreex")
+    return found[0]
+
+
+_PATH = str(_library_path())
+_LIB = ctypes.CDLL(_PATH)
+llvm.load_library_permanently(_PATH)
+for _name, _result, _arguments in (
+    ("rtcNewDevice", ctypes.c_void_p, [ctypes.c_char_p]),
+    ("rtcGetDeviceError", ctypes.c_int, [ctypes.c_void_p]),
+    ("rtcGetDeviceProperty", ctypes.c_ssize_t, [ctypes.c_void_p, ctypes.c_int]),
+    ("rtcNewScene", ctypes.c_void_p, [ctypes.c_void_p]),
+    ("rtcSetSceneBuildQuality", None, [ctypes.c_void_p, ctypes.c_int]),
+    ("rtcSetSceneFlags", None, [ctypes.c_void_p, ctypes.c_int]),
+    ("rtcNewGeometry", ctypes.c_void_p, [ctypes.c_void_p, ctypes.c_int]),
+    (
+        "rtcSetSharedGeometryBuffer",
+        None,
+        [ctypes.c_void_p, ctypes.c_int, ctypes.c_uint, ctypes.c_int, ctypes.c_void_p]
+        + [ctypes.c_size_t, ctypes.c_size_t, ctypes.c_size_t],
+    ),
+    ("rtcSetGeometryBuildQuality", None, [ctypes.c_void_p, ctypes.c_int]),
+    ("rtcCommitGeometry", None, [ctypes.c_void_p]),
+    ("rtcAttachGeometryByID", None, [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_uint]),
+    ("rtcReleaseGeometry", None, [ctypes.c_void_p]),
+    ("rtcCommitScene", None, [ctypes.c_void_p]),
+    ("rtcReleaseScene", None, [ctypes.c_void_p]),
+    ("rtcReleaseDevice", None, [ctypes.c_void_p]),
+):
+    getattr(_LIB, _name).restype = _result
+    getattr(_LIB, _name).argtypes = _arguments
+
+_MEMORY_MONITOR = ctypes.CFUNCTYPE(ctypes.c_bool, ctypes.c_void_p, ctypes.c_ssize_t, ctypes.c_bool)
+_LIB.rtcSetDeviceMemoryMonitorFunction.argtypes = [ctypes.c_void_p, _MEMORY_MONITOR, ctypes.c_void_p]
+_LIB.rtcSetDeviceMemoryMonitorFunction.restype = None
+
+rtc_intersect1 = types.ExternalFunction("rtcIntersect1", types.void(types.intp, types.intp, types.intp))
+rtc_occluded1 = types.ExternalFunction("rtcOccluded1", types.void(types.intp, types.intp, types.intp))
+rtc_intersect16 = types.ExternalFunction(
+    "rtcIntersect16", types.void(types.intp, types.intp, types.intp, types.intp)
+)
+rtc_occluded16 = types.ExternalFunction("rtcOccluded16", types.void(types.intp, types.intp, types.intp, types.intp))
+
+
+class EmbreeScene:
+    """An Embree scene over shared vertex, index and sphere buffers, which must outlive it.
+
+    vertices (V, 3) float32, triangles (T, 3) int32, spheres (S, 4) float32, all C-contiguous. Embree reads up to 16 bytes
+    past the last vertex: arrays are copied here if their owner did not pad them (`padded=False`).
+    handle: address for the kernels; bytes: memory Embree holds for its trees (private to the process).
+    """
+
+    def __init__(self, vertices: np.ndarray, triangles: np.ndarray, spheres: np.ndarray, padded: bool = False) -> None:
+        self.bytes = 0
+
+        def monitor(_: object, amount: int, __: bool) -> bool:
+            self.bytes += amount
+            return True
+
+        self._monitor = _MEMORY_MONITOR(monitor)
+        self._device = _LIB.rtcNewDevice(b"threads=1,set_affinity=0")
+        if not self._device:
+            raise RuntimeError(f"Embree gave no device (error {_LIB.rtcGetDeviceError(None)})")
+        _LIB.rtcSetDeviceMemoryMonitorFunction(self._device, self._monitor, None)
+        self.native16 = bool(_LIB.rtcGetDeviceProperty(self._device, _PROPERTY_NATIVE_16))
+        version = _LIB.rtcGetDeviceProperty(self._device, _PROPERTY_VERSION)
+        self.version = f"{version // 10000}.{version // 100 % 100}.{version % 100}"
+        scene = self._scene = _LIB.rtcNewScene(self._device)
+        _LIB.rtcSetSceneBuildQuality(scene, _QUALITY_HIGH)
+        # Robust: watertight edges, and no false miss between the triangles of a closed mesh.
+        _LIB.rtcSetSceneFlags(scene, _SCENE_ROBUST)
+        self._buffers = [a if padded else _padded(a) for a in (vertices, triangles, spheres)]
+        shared_vertices, shared_triangles, shared_spheres = self._buffers
+        if len(triangles):
+            geometry = _LIB.rtcNewGeometry(self._device, _TYPE_TRIANGLE)
+            self._share(geometry, _BUFFER_VERTEX, _FORMAT_FLOAT3, shared_vertices, 12)
+            self._share(geometry, _BUFFER_INDEX, _FORMAT_UINT3, shared_triangles, 12)
+            self._attach(geometry, TRIANGLES)
+        if len(spheres):
+            geometry = _LIB.rtcNewGeometry(self._device, _TYPE_SPHERE)
+            self._share(geometry, _BUFFER_VERTEX, _FORMAT_FLOAT4, shared_spheres, 16)
+            self._attach(geometry, SPHERES)
+        _LIB.rtcCommitScene(scene)
+        error = _LIB.rtcGetDeviceError(self._device)
+        if error:
+            raise RuntimeError(f"Embree could not build the scene (error {error})")
+        self.handle = int(scene)
+
+    @staticmethod
+    def _share(geometry: int, kind: int, layout: int, array: np.ndarray, stride: int) -> None:
+        _LIB.rtcSetSharedGeometryBuffer(geometry, kind, 0, layout, array.ctypes.data, 0, stride, len(array))
+
+    def _attach(self, geometry: int, identifier: int) -> None:
+        _LIB.rtcSetGeometryBuildQuality(geometry, _QUALITY_HIGH)
+        _LIB.rtcCommitGeometry(geometry)
+        _LIB.rtcAttachGeometryByID(self._scene, geometry, identifier)
+        _LIB.rtcReleaseGeometry(geometry)
+
+    def close(self) -> None:
+        """Release scene and device; kernels must not use `handle` any more."""
+        if self._scene:
+            _LIB.rtcReleaseScene(self._scene)
+            _LIB.rtcReleaseDevice(self._device)
+            self._scene = self._device = None
+
+
+def _padded(array: np.ndarray) -> np.ndarray:
+    """A copy of a C-contiguous array followed by 64 readable bytes."""
+    array = np.ascontiguousarray(array)
+    raw = np.zeros(array.nbytes + 64, np.uint8)
+    raw[: array.nbytes] = array.reshape(-1).view(np.uint8)
+    return raw[: array.nbytes].view(array.dtype).reshape(array.shape)
+
+
+def ray_buffer() -> np.ndarray:
+    """Aligned workspace for one RTCRayHit (float32 words 0 … 31), a valid mask (32 … 47) and one RTCRay16 (48 …)."""
+    words = 48 + 16 * 24
+    raw = np.zeros(words * 4 + 64, np.uint8)
+    start = -raw.ctypes.data % 64
+    buffer = raw[start : start + words * 4].view(np.float32)
+    integers = buffer.view(np.uint32)
+    integers[9] = MISS  # mask of the single ray: hit everything
+    integers[RAY16 + 9 * 16 : RAY16 + 10 * 16] = MISS
+    return buffer
+
+
+VALID, RAY16 = 32, 48
+"""First words of the valid mask and of the 16-wide ray in `ray_buffer`."""
+TNEAR, TFAR, PRIM, GEOM = 3, 8, 17, 18
+"""Word offsets of RTCRayHit; in the 16-wide ray word w of lane i lies at RAY16 + 16 w + i."""
+
+
+@inline
+def intersect(handle, triangle_count, rays, origin, direction, tfar):
+    """Nearest hit of one ray in (0, tfar): (primitive, t); primitive is -1 for a miss.
+
+    rays: `ray_buffer()`; t in multiples of the direction's length.
+    """
+    words = rays.view(np.uint32)
+    rays[0], rays[1], rays[2], rays[3] = origin[0], origin[1], origin[2], ZERO
+    rays[4], rays[5], rays[6], rays[7] = direction[0], direction[1], direction[2], ZERO
+    rays[TFAR] = tfar
+    words[GEOM] = MISS
+    rtc_intersect1(handle, rays.ctypes.data, 0)
+    geometry = words[GEOM]
+    if geometry == MISS:
+        return np.int64(-1), tfar
+    return np.int64(words[PRIM]) + np.int64(geometry) * triangle_count, rays[TFAR]
+
+
+@inline
+def visible(handle, rays, origin, target):
+    """Whether nothing lies between two points, both already moved off their surfaces."""
+    rays[0], rays[1], rays[2], rays[3] = origin[0], origin[1], origin[2], ZERO
+    rays[4] = target[0] - origin[0]
+    rays[5] = target[1] - origin[1]
+    rays[6] = target[2] - origin[2]
+    rays[7] = ZERO
+    rays[TFAR] = ONE
+    rtc_occluded1(handle, rays.ctypes.data, 0)
+    return rays[TFAR] >= ZERO

@@ -1,0 +1,73 @@
+"""The one place that holds the compile policy and the place of the compiled code on disk.
+
+fastmath without `nnan` and `ninf`: with them LLVM may assume that NaN never happens, and the guard that counts
+non-finite samples would compile to nothing. `error_model="numpy"` drops the zero-division checks of Python.
+
+numba keys its disk cache by the file of a kernel alone, not by the kernels it calls. The folder therefore carries a hash
+of every kernel source of this package, so that an edited or upgraded installation never runs stale code.
+"""
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+PACKAGE = Path(__file__).resolve().parents[1]
+KERNEL_ROOMS = ("kernels", "preprocess", "estimators", "render")
+
+
+def _source_hash() -> str:
+    digest = hashlib.sha256()
+    for room in KERNEL_ROOMS:
+        for source in sorted((PACKAGE / room).glob("*.py")):
+            digest.update(source.name.encode())
+            digest.update(source.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _writable(folder: Path) -> bool:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False
+
+
+def cache_directory() -> Path:
+    """Folder of the compiled kernels: $CAUSTICMPI_CACHE, else the user's cache, else a temporary folder."""
+    base = os.environ.get("CAUSTICMPI_CACHE")
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
+    candidates = [Path(base)] if base else []
+    candidates += [Path(home) / "causticmpi", Path(tempfile.gettempdir()) / f"causticmpi-{os.getuid()}"]
+    name = _source_hash()
+    for candidate in candidates:
+        if _writable(candidate / name):
+            return candidate / name
+    return candidates[-1] / name
+
+
+if "NUMBA_CACHE_DIR" not in os.environ:
+    os.environ["NUMBA_CACHE_DIR"] = str(cache_directory())
+os.environ.setdefault("NUMBA_NUM_THREADS", "1")
+
+import numba  # noqa: E402  (the cache folder must be named before numba reads its environment)
+
+FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
+
+
+def kernel(function: Callable[..., Any]) -> Any:
+    """Compile for the machine at hand, cached on disk."""
+    return numba.njit(cache=True, fastmath=FAST, error_model="numpy", _nrt=False)(function)
+
+
+def inline(function: Callable[..., Any]) -> Any:
+    """A small helper of kernels: LLVM decides on inlining, as for every call within one kernel."""
+    return numba.njit(fastmath=FAST, error_model="numpy", forceinline=True, _nrt=False)(function)
+
+
+def compiled_anew(kernels: list[Any]) -> int:
+    """How many of these kernels were compiled in this process rather than loaded from disk."""
+    return sum(sum(k.stats.cache_misses.values()) for k in kernels if hasattr(k, "stats"))
