@@ -3,7 +3,6 @@
 import functools
 import importlib.util
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -60,6 +59,7 @@ def run_mpi(
     except subprocess.TimeoutExpired:
         os.killpg(process.pid, signal.SIGKILL)  # mpirun's own group; its helpers end the ranks when it is gone
         out, err = process.communicate()
+        remove_shared_memory(out)
         pytest.fail(f"{ranks} ranks of {args} still running after {timeout} s\n{out[-2000:]}\n{err[-4000:]}")
     return subprocess.CompletedProcess(process.args, process.returncode, out, err)
 
@@ -71,10 +71,12 @@ def python_environment() -> dict[str, str]:
     return env
 
 
-def remove_shared_memory(paths: Sequence[str]) -> None:
-    """Remove what a killed run left in /dev/shm: only the files it named itself."""
-    for path in paths:
-        if Path(path).parent == Path("/dev/shm"):
-            Path(path).unlink(missing_ok=True)
-        elif path.startswith("/dev/shm/"):
-            shutil.rmtree(Path(path).parent, ignore_errors=True)
+def shared_files(out: str) -> list[Path]:
+    """Files of shared memory that a run named in its output, in lines "shm PATH"."""
+    return [Path(line.removeprefix("shm ")) for line in out.splitlines() if line.startswith("shm /dev/shm/")]
+
+
+def remove_shared_memory(out: str) -> None:
+    """Remove what a run that ended badly left in /dev/shm: only the files it named itself."""
+    for file in shared_files(out):
+        file.unlink(missing_ok=True)

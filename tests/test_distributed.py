@@ -1,6 +1,7 @@
 """The MPI layer, in real runs under mpirun, and its serial stand-in."""
 
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from mpi_tools import (
     remove_shared_memory,
     require_mpi,
     run_mpi,
+    shared_files,
     start_mpi,
 )
 
@@ -33,15 +35,11 @@ def lines(text: str, word: str) -> list[str]:
     return [line for line in text.splitlines() if line.startswith(word + " ")]
 
 
-def shared_files(out: str) -> list[str]:
-    return [line.split(maxsplit=1)[1] for line in lines(out, "shm")]
-
-
 def run_failing(ranks: int, what: str, rank: int) -> "subprocess.CompletedProcess[str]":
     """Run failing.py, check that it is gone in time and that no rank got to the end."""
     start = time.monotonic()
     done = run_mpi(ranks, [PROGRAMS / "failing.py", what, str(rank)], timeout=30)
-    remove_shared_memory(shared_files(done.stdout))
+    remove_shared_memory(done.stdout)
     assert time.monotonic() - start < END
     assert "reached the end" not in done.stdout
     return done
@@ -52,8 +50,8 @@ def test_collectives(ranks: int, per_node: int) -> None:
     done = run_mpi(ranks, [PROGRAMS / "collectives.py", str(per_node)])
     assert done.returncode == 0, done.stderr
     assert sorted(int(line.split()[1]) for line in lines(done.stdout, "ok")) == list(range(ranks))
-    left = [file for file in shared_files(done.stdout) if Path(file).exists()]
-    assert not left
+    named = shared_files(done.stdout)
+    assert named and not [file for file in named if file.exists()]
 
 
 def test_waiting_is_asleep() -> None:
@@ -61,6 +59,25 @@ def test_waiting_is_asleep() -> None:
     measured = [[float(word) for word in line.split()[1:]] for line in lines(done.stdout, "cpu")]
     assert done.returncode == 0 and len(measured) == 3, done.stderr
     assert all(cpu < 0.3 * 1.5 for row in measured for cpu in row), measured
+
+
+def test_leaving_early_is_asleep() -> None:
+    """Two ranks that end 3 s before rank 0 do not spin until it comes: 6 s of CPU, if the cores are free."""
+    before = cpu_of_children()
+    done = run_mpi(3, [PROGRAMS / "leaving.py", "3"])
+    assert done.returncode == 0 and len(lines(done.stdout, "leaving")) == 3, done.stderr
+    assert cpu_of_children() - before < 3
+
+
+def cpu_of_children() -> float:
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def test_failures_one_after_another_give_one_message() -> None:
+    done = run_failing(3, "raise-late", -1)
+    assert done.returncode == 1, done.stderr
+    assert done.stderr.count("ending all ranks") == 1 and "rank 2 of 3" in done.stderr, done.stderr
 
 
 @pytest.mark.parametrize("rank", [0, 2, -1])
@@ -102,9 +119,10 @@ def test_error_of_node_leader_ends_all() -> None:
 @pytest.mark.parametrize("variable", ["PMI_SIZE", "OMPI_COMM_WORLD_SIZE", "SLURM_STEP_NUM_TASKS"])
 def test_launcher_mismatch_is_refused(variable: str) -> None:
     require_mpi()
-    program = "from causticmpi.distributed.world import open_world; open_world()"
     env = python_environment() | {variable: "4"}
-    done = subprocess.run([sys.executable, "-c", program], env=env, capture_output=True, text=True, timeout=30)
+    command = [sys.executable, str(PROGRAMS / "mismatch.py")]
+    done = subprocess.run(command, env=env, capture_output=True, text=True, timeout=30)
+    remove_shared_memory(done.stdout)  # a lone process of Open MPI leaves its segment behind
     assert done.returncode != 0
     assert "InputError" in done.stderr and f"launcher started 4 ({variable}=4)" in done.stderr, done.stderr
     assert "use the mpirun that belongs to the library" in done.stderr

@@ -76,7 +76,7 @@ def _blame(source: YamlSource, section: str, keys: tuple[str, ...], error: Input
     named = [at for at in present if str(error).startswith(f"{at[1]}:")]
     at: Keys = (overridden or named or [(section,)])[0]
     place = source.place(at)
-    text = f"{section}: {error}" if not str(error).startswith(f"{at[-1]}:") else f"{section}.{error}"
+    text = f"{section}{'.' if str(error).partition(':')[0] in keys else ': '}{error}"
     return InputError(text, place) if isinstance(place, str) else InputError(text, source.file, place)
 
 

@@ -92,7 +92,9 @@ def parse_yaml(text: str, fail: Fail, places: dict[Keys, int | str]) -> Any:
     except _RefusedError as refused:
         raise fail(str(refused), refused.line) from None
     except MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
+        # An unclosed bracket is found at the end of the file; the place to mend is where it opens.
+        unclosed = error.context_mark if "end>" in (error.problem or "") else None
+        mark = unclosed or error.problem_mark or error.context_mark
         what = ", ".join(part for part in (error.context, error.problem) if part)
         line = mark.line + 1 if mark else loader.line + 1
         raise fail(f"YAML syntax: {what}; check indentation, colons, quotes and brackets", line) from None

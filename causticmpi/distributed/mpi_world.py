@@ -6,6 +6,7 @@ barrier, when all ranks are known to be there. Sleeping also lets Python's signa
 """
 
 import atexit
+import os
 import pickle
 import sys
 import time
@@ -23,7 +24,7 @@ T = TypeVar("T")
 SHORTEST_SLEEP = 50e-6
 LONGEST_SLEEP = 2e-3
 BULK_SLEEP = 100e-6
-"""While data flows every poll moves a piece of it, so long sleeps would throttle the transfer."""
+BULK_POLLS = 2000
 
 REDUCE_CHUNK = 1 << 20
 """Elements per reduction: bounds the library's temporary memory and keeps counts far from 2^31."""
@@ -31,6 +32,7 @@ REDUCE_CHUNK = 1 << 20
 PICKLE_CHUNK = 1 << 28
 FAILURE_TAG = 1
 FAILURE_PATIENCE = 0.3
+FAILURE_PROBES = 20
 
 
 def wait(request: MPI.Request, longest: float = LONGEST_SLEEP) -> None:
@@ -41,6 +43,18 @@ def wait(request: MPI.Request, longest: float = LONGEST_SLEEP) -> None:
         pause = min(1.5 * pause, longest)
 
 
+def wait_bulk(request: MPI.Request) -> None:
+    """Wait for a transfer whose partners are all there (after a barrier): every poll moves a piece of the data.
+
+    Polls yielding the core at first, then asleep for at most 100 us: longer sleeps would throttle the transfer.
+    """
+    for _ in range(BULK_POLLS):
+        if request.Test():
+            return
+        os.sched_yield()
+    wait(request, BULK_SLEEP)
+
+
 def broadcast_bytes(comm: MPI.Intracomm, data: bytes | None, root: int) -> bytes:
     """Collective on `comm`. The root's bytes: length first, then chunks."""
     length = np.array([len(data) if data is not None else 0], dtype=np.int64)
@@ -49,7 +63,7 @@ def broadcast_bytes(comm: MPI.Intracomm, data: bytes | None, root: int) -> bytes
     if data is not None:
         block[:] = np.frombuffer(data, dtype=np.uint8)
     for start in range(0, len(block), PICKLE_CHUNK):
-        wait(comm.Ibcast(block[start : start + PICKLE_CHUNK], root), BULK_SLEEP)
+        wait(comm.Ibcast(block[start : start + PICKLE_CHUNK], root))
     return block.tobytes()
 
 
@@ -111,9 +125,10 @@ class MpiWorld(World):
         require_summable(array)
         source = np.ascontiguousarray(array).reshape(-1)
         total = np.empty_like(source) if self.is_root else None
+        self.barrier()
         for start in range(0, len(source), REDUCE_CHUNK):
             part = slice(start, start + REDUCE_CHUNK)
-            wait(self.comm.Ireduce(source[part], None if total is None else total[part], MPI.SUM, 0))
+            wait_bulk(self.comm.Ireduce(source[part], None if total is None else total[part], MPI.SUM, 0))
         return None if total is None else total.reshape(array.shape)
 
     def all_min(self, value: int) -> int:
@@ -157,8 +172,10 @@ class MpiWorld(World):
 
         Failing ranks tell all others and wait a moment: who hears of an earlier failure, or of a lower rank, is silent.
         """
-        if self.comm.Iprobe(MPI.ANY_SOURCE, FAILURE_TAG):
-            return False
+        for _ in range(FAILURE_PROBES):  # a message that has come may take several calls to show
+            if self.comm.Iprobe(MPI.ANY_SOURCE, FAILURE_TAG):
+                return False
+            time.sleep(0.001)
         for other in range(self.size):
             if other != self.rank:
                 self.comm.Isend(np.empty(0, dtype=np.uint8), other, FAILURE_TAG)

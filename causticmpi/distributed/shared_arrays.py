@@ -13,7 +13,7 @@ from typing import cast
 import numpy as np
 from mpi4py import MPI
 
-from causticmpi.distributed.mpi_world import BULK_SLEEP, MpiWorld, wait
+from causticmpi.distributed.mpi_world import MpiWorld, wait, wait_bulk
 from causticmpi.distributed.world import Arrays, read_only
 from causticmpi.errors import InputError
 
@@ -108,8 +108,9 @@ def share(world: MpiWorld, arrays: Arrays | None, chunk_bytes: int = CHUNK_BYTES
         for name, (dtype, shape, offset) in layout.entries.items():
             np.ndarray(shape, dtype, buffer=block.bytes.data, offset=offset)[...] = arrays[name]
     if world.is_node_leader and world.node_count > 1:
+        wait(world.leaders.Ibarrier())
         for start in range(0, layout.size, chunk_bytes):
-            wait(world.leaders.Ibcast(block.bytes[start : start + chunk_bytes], 0), BULK_SLEEP)
+            wait_bulk(world.leaders.Ibcast(block.bytes[start : start + chunk_bytes], 0))
     block.publish()
     return SharedArrays(block, layout)
 

@@ -8,8 +8,8 @@ from causticmpi.config.check import MAX_COORDINATE
 from causticmpi.errors import InputError
 from causticmpi.scene.records import Box, Quad, Sphere
 
-FLATNESS = 1e-3
-"""Largest distance of a quad's corners from one plane, relative to its size: corners are often rounded."""
+FLATNESS = 5e-3
+"""Largest spread of a quad's corners about one plane, relative to its size: measured rooms are a little skew."""
 _ZERO_AREA = 1e-12
 """Twice a triangle's area over its squared longest edge, below which it has no normal worth the name."""
 

@@ -82,7 +82,9 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
     import trimesh
 
     try:
-        loaded: Any = trimesh.load(path, process=False, force="mesh", skip_materials=True)
+        # Numbers beyond float32 become infinite, which is reported below: no second line on stderr.
+        with np.errstate(all="ignore"):
+            loaded: Any = trimesh.load(path, process=False, force="mesh", skip_materials=True)
         points = np.asarray(loaded.vertices, dtype=np.float64).reshape(-1, 3)
         faces = np.asarray(loaded.faces, dtype=np.int64).reshape(-1, 3)
     except Exception as error:  # trimesh raises whatever its parser happens to meet

@@ -1,0 +1,169 @@
+"""Nearest neighbours: balanced kd-trees in one array, without pointers.
+
+A tree over rows [low, high) has its root at the middle row; the rows before it lie on the lower side of its plane, those
+after it on the upper side, and both are trees again. Runs of at most LEAF rows are searched one by one.
+"""
+
+import numpy as np
+
+from causticmpi.kernels.jit import inline, kernel
+from causticmpi.kernels.vec import ZERO
+
+LEAF = 12
+MAX_DEPTH = 64
+
+
+@inline
+def _select(keys, order, low, high, k):
+    """Reorder `order[low:high]` so that the k-th smallest key stands at k, smaller ones before it (quickselect)."""
+    right = high - 1
+    left = low
+    while left < right:
+        # Median of three as pivot: sorted input, which meshes produce, stays fast.
+        middle = (left + right) >> 1
+        a, b, c = keys[order[left]], keys[order[middle]], keys[order[right]]
+        pivot = max(min(a, b), min(max(a, b), c))
+        i, j = left, right
+        while i <= j:
+            while keys[order[i]] < pivot:
+                i += 1
+            while keys[order[j]] > pivot:
+                j -= 1
+            if i <= j:
+                order[i], order[j] = order[j], order[i]
+                i += 1
+                j -= 1
+        if k <= j:
+            right = j
+        elif k >= i:
+            left = i
+        else:
+            return
+
+
+@kernel
+def build_trees(points, starts, order, axis, stack):
+    """Balanced trees over the runs starts[i] … starts[i+1] of `order`.
+
+    points (3, n) float32; starts (m+1,) int64; order (k,) int32 columns of `points`, permuted in place;
+    axis (k,) uint8: splitting axis of each place, the widest of its run; stack (2 * MAX_DEPTH,) int64: workspace.
+    """
+    for run in range(starts.shape[0] - 1):
+        top = 0
+        stack[0], stack[1] = starts[run], starts[run + 1]
+        while top >= 0:
+            low, high = stack[2 * top], stack[2 * top + 1]
+            top -= 1
+            if high - low <= LEAF:
+                continue
+            widest, best = 0, np.float32(-1)
+            for c in range(3):
+                least = greatest = points[c, order[low]]
+                for i in range(low + 1, high):
+                    x = points[c, order[i]]
+                    least = min(least, x)
+                    greatest = max(greatest, x)
+                if greatest - least > best:
+                    widest, best = c, greatest - least
+            middle = (low + high) >> 1
+            _select(points[widest], order, low, high, middle)
+            axis[middle] = widest
+            top += 1
+            stack[2 * top], stack[2 * top + 1] = low, middle
+            top += 1
+            stack[2 * top], stack[2 * top + 1] = middle + 1, high
+
+
+@inline
+def _sift_down(distance, row, count):
+    """Let the root of a max-heap of `count` entries sink to its place."""
+    i = 0
+    d, r = distance[0], row[0]
+    while True:
+        child = 2 * i + 1
+        if child >= count:
+            break
+        if child + 1 < count and distance[child + 1] > distance[child]:
+            child += 1
+        if distance[child] <= d:
+            break
+        distance[i], row[i] = distance[child], row[child]
+        i = child
+    distance[i], row[i] = d, r
+
+
+@inline
+def _sift_up(distance, row, i):
+    d, r = distance[i], row[i]
+    while i > 0:
+        parent = (i - 1) >> 1
+        if distance[parent] >= d:
+            break
+        distance[i], row[i] = distance[parent], row[parent]
+        i = parent
+    distance[i], row[i] = d, r
+
+
+@inline
+def nearest(x, y, z, axis, low, high, p, radius2, most, distance, row, stack, plane):
+    """The `most` nearest points to p within sqrt(radius2) of the tree over rows [low, high).
+
+    x, y, z (k,) float32 in tree order; distance, row (most,): max-heap of squared distances, filled here;
+    stack (2 * MAX_DEPTH,) int32, plane (MAX_DEPTH,) float32: workspace. Returns the number found.
+    """
+    found = 0
+    top = 0
+    stack[0], stack[1], plane[0] = low, high, ZERO
+    while top >= 0:
+        a, b = np.int64(stack[2 * top]), np.int64(stack[2 * top + 1])
+        far = plane[top]
+        top -= 1
+        if far >= radius2:
+            continue
+        while b - a > LEAF:
+            middle = (a + b) >> 1
+            k = axis[middle]
+            if k == 0:
+                gap = p[0] - x[middle]
+            elif k == 1:
+                gap = p[1] - y[middle]
+            else:
+                gap = p[2] - z[middle]
+            gap2 = gap * gap
+            if gap2 < radius2:
+                dx, dy, dz = p[0] - x[middle], p[1] - y[middle], p[2] - z[middle]
+                d2 = dx * dx + dy * dy + dz * dz
+                if d2 < radius2:
+                    if found < most:
+                        distance[found], row[found] = d2, middle
+                        _sift_up(distance, row, found)
+                        found += 1
+                    else:
+                        distance[0], row[0] = d2, middle
+                        _sift_down(distance, row, found)
+                    if found == most:
+                        radius2 = distance[0]
+                top += 1
+                plane[top] = gap2
+                if gap < ZERO:
+                    stack[2 * top], stack[2 * top + 1] = middle + 1, b
+                else:
+                    stack[2 * top], stack[2 * top + 1] = a, middle
+            if gap < ZERO:
+                b = middle
+            else:
+                a = middle + 1
+        for i in range(a, b):
+            dx, dy, dz = p[0] - x[i], p[1] - y[i], p[2] - z[i]
+            d2 = dx * dx + dy * dy + dz * dz
+            if d2 < radius2:
+                if found < most:
+                    distance[found], row[found] = d2, i
+                    _sift_up(distance, row, found)
+                    found += 1
+                else:
+                    distance[0], row[0] = d2, i
+                    _sift_down(distance, row, found)
+                if found == most:
+                    radius2 = distance[0]
+    return found

@@ -1,0 +1,206 @@
+"""Cluster map and forecast maps: caustic points clustered, ranked by energy and put into search trees [CF sec. 3.2]."""
+
+import math
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from causticmpi.kernels import kdtree
+from causticmpi.kernels.jit import inline, kernel
+from causticmpi.preprocess.photons import CausticPoints
+from causticmpi.preprocess.vector_quantization import assign, features, learn_codebook
+
+CULLED = 1 << 20
+"""Rank of a cluster without energy."""
+
+
+class ForecastMaps(NamedTuple):
+    """What rank 0 broadcasts: the cluster map and one forecast map per cluster, as flat arrays for kernels.
+
+    codebook (6, m) float32: the cluster map, codewords in feature space (position, normal * normal_scale)
+    rank (m,) int32: energy rank of each cluster; start (m+1,) int64: its rows of the forecast map
+    x, y, z, power (k,) float32, direction (k, 3) float32, axis (k,) uint8: forecast photons in tree order
+    normal_scale, radius: scene units; columns, rows: bins of the directional tables; neighbours: n
+    """
+
+    codebook: Any
+    rank: Any
+    start: Any
+    x: Any
+    y: Any
+    z: Any
+    direction: Any
+    power: Any
+    axis: Any
+    normal_scale: float
+    radius: float
+    max_rank: int
+    splitting: int
+    columns: int
+    rows: int
+    neighbours: int
+
+
+@dataclass(frozen=True)
+class ClusterStatistics:
+    """Per cluster: photons (m,), energy (m,) fraction, area (m,) units^2, rank (m,); extent is the search radius."""
+
+    photons: np.ndarray
+    energy: np.ndarray
+    area: np.ndarray
+    rank: np.ndarray
+    radius: float
+    overlap: float
+
+
+def energy_ranks(energy: np.ndarray, area: np.ndarray) -> np.ndarray:
+    """Rank of each cluster [CF sec. 3.2], 0 the most important.
+
+    energy (m,), area (m,). The clusters are ordered by energy density; cluster j has the rank n for which the clusters
+    before it hold at least 1 - 0.5^n of the energy: the ranks 0 … n together hold at least 1 - 0.5^(n+1), which is what
+    the paper's Fig. 2 shows (rank 0: 50 %), where its text says "at most 1 - 0.5^n".
+    """
+    rank = np.full(len(energy), CULLED, np.int32)
+    total = energy.sum()
+    if total <= 0:
+        return rank
+    density = np.where(area > 0, energy / np.where(area > 0, area, 1), np.where(energy > 0, np.inf, 0))
+    order = np.argsort(-density, kind="stable")
+    before = np.concatenate([[0], np.cumsum(energy[order])[:-1]]) / total
+    rest = np.maximum(1 - before, 2.0**-30)
+    rank[order] = np.floor(-np.log2(rest) + 1e-9).astype(np.int32)
+    rank[energy <= 0] = CULLED
+    return rank
+
+
+@kernel
+def _overlaps(codebook, feature, cluster, gap, wanted, counts, cursor, rows):
+    """Members of every wanted cluster: its own points and those within epsilon of its border.
+
+    A point belongs to cluster j too if its distance to the bisector plane of j and its own cluster i is at most epsilon:
+    (d_j^2 - d_i^2) <= 2 epsilon |c_j - c_i| = gap[i, j]. With `cursor` given, rows are stored, else only counted.
+    """
+    for p in range(feature.shape[1]):
+        own = cluster[p]
+        d_own = np.float32(0)
+        for c in range(6):
+            d = codebook[c, own] - feature[c, p]
+            d_own += d * d
+        for w in range(wanted.shape[0]):
+            j = wanted[w]
+            d2 = np.float32(0)
+            for c in range(6):
+                d = codebook[c, j] - feature[c, p]
+                d2 += d * d
+            if d2 - d_own <= gap[own, j]:
+                if rows.shape[0] > 0:
+                    rows[cursor[j]] = p
+                    cursor[j] += 1
+                else:
+                    counts[j] += 1
+
+
+def build_forecast(
+    points: CausticPoints,
+    seed: int,
+    clusters: int,
+    neighbours: int,
+    table: tuple[int, int],
+    max_rank: int,
+    splitting: int,
+    radius: float | None = None,
+    overlap: float | None = None,
+) -> tuple[ForecastMaps, ClusterStatistics]:
+    """Cluster, rank and index at least one caustic point.
+
+    radius: of the gather in scene units; None: n neighbours at the average density of the ranked clusters.
+    overlap: epsilon around a cluster in scene units; None: the radius, so that a gather near the border of a cluster
+    finds what a tree over all photons would.
+    """
+    feature, scale = features(points.position, points.normal)
+    codebook = learn_codebook(feature, clusters, seed)
+    count = codebook.shape[1]
+    cluster = np.empty(feature.shape[1], np.int32)
+    assign(codebook, feature, np.empty(count, np.float32), cluster)
+    photons = np.bincount(cluster, minlength=count)
+    power = points.power.astype(np.float64) @ np.array([0.2126, 0.7152, 0.0722])
+    energy = np.bincount(cluster, weights=power, minlength=count)
+    area = _disc_areas(points.position, cluster, count, photons)
+    rank = energy_ranks(energy, area)
+    wanted = np.flatnonzero(rank <= max_rank)
+    if radius is None:
+        density = photons[wanted].sum() / max(area[wanted].sum(), 1e-300)
+        extent = float(np.linalg.norm(np.ptp(points.position, axis=0)))
+        radius = min(math.sqrt(neighbours / (math.pi * density)), extent or 1.0) if density > 0 else 1.0
+    overlap = radius if overlap is None else overlap
+    centres = codebook.T.astype(np.float64)
+    gap = 2 * overlap * np.linalg.norm(centres[:, None] - centres[None], axis=2)
+    order, start = _forecast_rows(codebook, feature, cluster, gap.astype(np.float32), wanted)
+    axis = np.zeros(len(order), np.uint8)
+    position = np.ascontiguousarray(points.position.T)
+    kdtree.build_trees(position, start, order, axis, np.zeros(2 * kdtree.MAX_DEPTH, np.int64))
+    x, y, z = position[:, order]
+    maps = ForecastMaps(
+        codebook=codebook,
+        rank=rank,
+        start=start,
+        x=x,
+        y=y,
+        z=z,
+        direction=points.direction[order],
+        power=power[order].astype(np.float32),
+        axis=axis,
+        normal_scale=scale,
+        radius=radius,
+        max_rank=max_rank,
+        splitting=splitting,
+        columns=table[0],
+        rows=table[1],
+        neighbours=neighbours,
+    )
+    return maps, ClusterStatistics(photons, energy / max(energy.sum(), 1e-300), area, rank, radius, overlap)
+
+
+def _disc_areas(position: np.ndarray, cluster: np.ndarray, count: int, photons: np.ndarray) -> np.ndarray:
+    """Area of each cluster as that of a disc with the same mean squared distance from its centre: 2 pi E[r^2]."""
+    n = np.maximum(photons, 1)
+    mean_square = np.zeros(count)
+    for c in range(3):
+        x = position[:, c].astype(np.float64)
+        mean = np.bincount(cluster, weights=x, minlength=count) / n
+        mean_square += np.bincount(cluster, weights=(x - mean[cluster]) ** 2, minlength=count) / n
+    return 2 * math.pi * mean_square
+
+
+def _forecast_rows(
+    codebook: np.ndarray, feature: np.ndarray, cluster: np.ndarray, gap: np.ndarray, wanted: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of the caustic points by cluster, overlaps included: (k,) int32, and the start of each cluster (m+1,) int64."""
+    count = codebook.shape[1]
+    counts = np.zeros(count, np.int64)
+    nothing = np.empty(0, np.int32)
+    _overlaps(codebook, feature, cluster, gap, wanted, counts, counts, nothing)
+    start = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    rows = np.empty(start[-1], np.int32)
+    if len(rows):
+        _overlaps(codebook, feature, cluster, gap, wanted, counts, start[:-1].copy(), rows)
+    return rows, start
+
+
+@inline
+def cluster_of(maps, p, n, distance):
+    """The cluster that p with normal n falls into: nearest codeword in feature space. distance (m,): workspace."""
+    s = np.float32(maps.normal_scale)
+    a, b, c = p
+    d, e, f = n[0] * s, n[1] * s, n[2] * s
+    codebook = maps.codebook
+    for j in range(codebook.shape[1]):
+        s0, s1, s2 = codebook[0, j] - a, codebook[1, j] - b, codebook[2, j] - c
+        s3, s4, s5 = codebook[3, j] - d, codebook[4, j] - e, codebook[5, j] - f
+        distance[j] = s0 * s0 + s1 * s1 + s2 * s2 + s3 * s3 + s4 * s4 + s5 * s5
+    best, index = distance[0], 0
+    for j in range(1, codebook.shape[1]):
+        if distance[j] < best:
+            best, index = distance[j], j
+    return index

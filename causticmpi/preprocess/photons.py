@@ -1,0 +1,86 @@
+"""Forecast photons: caustic points, stored wherever a particle met S and then D, at any depth of its path [CF sec. 3.2].
+
+So L D S D (secondary caustics, the spot on the green wall) is forecast too. None is stored at specular vertices.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from causticmpi.estimators import particles
+from causticmpi.estimators.eye_path import facing
+from causticmpi.kernels import rng, vec
+from causticmpi.kernels.jit import kernel
+from causticmpi.kernels.vec import ONE, ZERO
+from causticmpi.kernels.traced_scene import TracedScene
+
+
+class CausticPoints(NamedTuple):
+    """position (n, 3), normal (n, 3) on the lit side, direction (n, 3) back to the specular surface, power (n, 3): the
+    flux of the whole lights, not yet divided by the number of particles emitted. float32."""
+
+    position: Any
+    normal: Any
+    direction: Any
+    power: Any
+
+
+@kernel
+def _shoot(scene, rays, seed, first, last, points, stored):
+    """Particles first … last-1; stops when `points` is full. Returns (stored, next particle, rays traced)."""
+    traced = 0
+    particle = first
+    while particle < last and stored < points.power.shape[0]:
+        key = rng.make_key(seed, rng.PHOTON, 0, particle)
+        u, v = rng.uniform2(key, particles.EMIT_POINT)
+        w, _ = rng.uniform2(key, 2)
+        _, p, n, offset, power = particles.emit(scene, u, v, w)
+        u, v = rng.uniform2(key, particles.EMIT_DIRECTION)
+        direction = particles.emission_direction(n, u, v)
+        flux = vec.scale(power, particles.PARTICLE_FLUX)
+        origin = vec.along(p, n, offset)
+        bounce = 0
+        while vec.max3(flux) > ZERO:
+            vertex = rng.subkey(key, bounce)
+            primitive, p, n, offset, direction, flux, events, rays_traced = particles.walk_to_surface(
+                scene, rays, origin, direction, flux, rng.subkey(vertex, 1)
+            )
+            traced += rays_traced
+            if primitive < 0:
+                break
+            n = facing(n, direction)
+            back = vec.neg(direction)
+            if events > 0 and stored < points.power.shape[0]:
+                for c in range(3):
+                    points.position[stored, c] = p[c]
+                    points.normal[stored, c] = n[c]
+                    points.direction[stored, c] = back[c]
+                    points.power[stored, c] = flux[c]
+                stored += 1
+            u, v = rng.uniform2(vertex, particles.DIRECTION)
+            direction, flux = particles.scatter_particle(
+                scene, scene.material[primitive], n, back, flux, vertex, u, v
+            )
+            origin = vec.along(p, n, offset)
+            bounce += 1
+        particle += 1
+    return stored, particle, traced
+
+
+MOST_PARTICLES_PER_PHOTON = 400
+"""The shooting gives up after this many particles per caustic point asked for: then few reach a specular surface."""
+
+
+def shoot_photons(scene: TracedScene, rays: np.ndarray, seed: int, count: int) -> tuple[CausticPoints, int, int]:
+    """Shoot until `count` caustic points are found, or nearly nothing reaches a specular surface.
+
+    Returns the points found, the particles emitted and the rays traced.
+    """
+    points = CausticPoints(*(np.zeros((count, 3), np.float32) for _ in range(4)))
+    stored = emitted = traced = 0
+    limit = MOST_PARTICLES_PER_PHOTON * count
+    while stored < count and emitted < limit:
+        batch = min(limit - emitted, 1 << 20)
+        stored, emitted, rays_traced = _shoot(scene, rays, seed, emitted, emitted + batch, points, stored)
+        traced += rays_traced
+    return CausticPoints(*(a[:stored] for a in points)), emitted, traced

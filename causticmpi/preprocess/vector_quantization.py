@@ -1,0 +1,84 @@
+"""Vector quantization of caustic points over position and normal [CF sec. 3.2], by competitive learning.
+
+Frequency-sensitive competitive learning [Ahalt et al. 1990, the paper's reference]: the codeword with the least
+(wins x squared distance) moves towards the training vector, so that clusters follow the density of the photons and come
+out evenly filled.
+"""
+
+import numpy as np
+
+from causticmpi.kernels.jit import inline, kernel
+from causticmpi.kernels.vec import ONE
+
+NORMAL_WEIGHT = 0.25
+"""Unit normals enter the 6-D feature space scaled by this fraction of the extent of the caustic points."""
+TRAINING = 200
+"""Training vectors per codeword: the codebook changes little beyond."""
+EPOCHS = 2
+
+
+def features(position: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, float]:
+    """(6, n) float32 features and the scale of the normals in scene units.
+
+    Position enters unscaled, so that distances in feature space are scene units.
+    """
+    extent = float(np.linalg.norm(np.ptp(position, axis=0))) if len(position) else 0.0
+    scale = NORMAL_WEIGHT * (extent or 1.0)
+    return np.ascontiguousarray(np.concatenate([position, normal * np.float32(scale)], axis=1).T, np.float32), scale
+
+
+@inline
+def _squared_distances(codebook, feature, i, out):
+    """Squared distances of feature column i to all codewords; codebook (6, m), out (m,)."""
+    a, b, c = feature[0, i], feature[1, i], feature[2, i]
+    d, e, f = feature[3, i], feature[4, i], feature[5, i]
+    for j in range(out.shape[0]):
+        s0, s1, s2 = codebook[0, j] - a, codebook[1, j] - b, codebook[2, j] - c
+        s3, s4, s5 = codebook[3, j] - d, codebook[4, j] - e, codebook[5, j] - f
+        out[j] = s0 * s0 + s1 * s1 + s2 * s2 + s3 * s3 + s4 * s4 + s5 * s5
+
+
+@inline
+def _least(values):
+    """Index of the least value, the first of equals."""
+    best, index = values[0], 0
+    for j in range(1, values.shape[0]):
+        if values[j] < best:
+            best, index = values[j], j
+    return index
+
+
+@kernel
+def _compete(codebook, wins, feature, order, distance):
+    """One epoch over the columns `order`; codebook and wins change in place."""
+    for i in order:
+        _squared_distances(codebook, feature, i, distance)
+        for j in range(distance.shape[0]):
+            distance[j] *= wins[j]
+        winner = _least(distance)
+        wins[winner] += ONE
+        rate = ONE / wins[winner]
+        for c in range(6):
+            codebook[c, winner] += rate * (feature[c, i] - codebook[c, winner])
+
+
+@kernel
+def assign(codebook, feature, distance, cluster):
+    """Nearest codeword of every column; distance (m,) float32 workspace, cluster (n,) int32 result."""
+    for i in range(feature.shape[1]):
+        _squared_distances(codebook, feature, i, distance)
+        cluster[i] = _least(distance)
+
+
+def learn_codebook(feature: np.ndarray, clusters: int, seed: int) -> np.ndarray:
+    """Codebook (6, m) float32, m <= clusters, of features (6, n); deterministic for a seed."""
+    count = feature.shape[1]
+    clusters = min(clusters, count)
+    generator = np.random.Generator(np.random.Philox(key=seed))
+    training = generator.permutation(count)[: TRAINING * clusters].astype(np.int64)
+    codebook = np.ascontiguousarray(feature[:, training[:clusters]])
+    wins = np.ones(clusters, np.float32)
+    distance = np.empty(clusters, np.float32)
+    for _ in range(EPOCHS):
+        _compete(codebook, wins, feature, training, distance)
+    return codebook
