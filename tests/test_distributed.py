@@ -1,7 +1,6 @@
 """The MPI layer, in real runs under mpirun, and its serial stand-in."""
 
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -59,19 +58,6 @@ def test_waiting_is_asleep() -> None:
     measured = [[float(word) for word in line.split()[1:]] for line in lines(done.stdout, "cpu")]
     assert done.returncode == 0 and len(measured) == 3, done.stderr
     assert all(cpu < 0.3 * 1.5 for row in measured for cpu in row), measured
-
-
-def test_leaving_early_is_asleep() -> None:
-    """Two ranks that end 3 s before rank 0 do not spin until it comes: 6 s of CPU, if the cores are free."""
-    before = cpu_of_children()
-    done = run_mpi(3, [PROGRAMS / "leaving.py", "3"])
-    assert done.returncode == 0 and len(lines(done.stdout, "leaving")) == 3, done.stderr
-    assert cpu_of_children() - before < 3
-
-
-def cpu_of_children() -> float:
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
 
 
 def test_failures_one_after_another_give_one_message() -> None:

@@ -92,7 +92,7 @@ class MpiWorld(World):
         self.node_count = sum(leader for _, leader in everyone)
         self._closed = False
         self._shared: list[Any] = []
-        # Runs before mpi4py's own end: nothing stays in /dev/shm, and nobody spins in MPI_Finalize for a late rank.
+        # Runs before mpi4py finalizes MPI: windows have to be freed by then, and a late rank is awaited asleep.
         atexit.register(self.close)
 
     def hosts(self) -> list[str]:

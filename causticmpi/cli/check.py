@@ -1,0 +1,40 @@
+"""`causticmpi check`: is the input sound, and what will a run need? Renders nothing, writes nothing."""
+
+import argparse
+
+from causticmpi.cli.render import overrides
+from causticmpi.config.load import load_config, scene_path
+from causticmpi.output.directory import check_directory
+
+FILM_BYTES = 2 * 9 * 8 + 6 * 4
+"""Per pixel and rank: finished and pending sums (float64), one pass (float32)."""
+PHOTON_BYTES = 3 * 40
+"""Per forecast photon and node, with overlaps of the clusters."""
+PROCESS_MB = 150
+"""Interpreter, numba and compiled kernels of one rank."""
+
+
+def check(arguments: argparse.Namespace) -> int:
+    """Validate all that `render` would read; print what it will need. Raises InputError."""
+    from causticmpi.scene.content import has_specular
+    from causticmpi.scene.load import load_scene
+
+    config = load_config(arguments.config, overrides(arguments))
+    scene = load_scene(scene_path(arguments.config, config))
+    check_directory(config.output.directory, force=True)
+    film = config.film
+    x0, y0, x1, y1 = film.crop or (0, 0, film.width, film.height)
+    pixels = (x1 - x0) * (y1 - y0)
+    triangles, spheres = len(scene.triangles), len(scene.spheres)
+    rank_mb = PROCESS_MB + pixels * FILM_BYTES / 2**20 + triangles * 150 / 2**20
+    node_mb = sum(getattr(scene, name).nbytes for name in scene.ARRAYS) / 2**20
+    caustics = config.method == "iws+cf" and has_specular(scene)
+    if caustics:
+        node_mb += config.forecast.photons * PHOTON_BYTES / 2**20
+    budget = f"{config.budget.time} s" if config.budget.time is not None else f"{config.budget.spp} samples per pixel"
+    print(f"{arguments.config}: sound")
+    print(f"scene    {scene.name}: {triangles} triangles, {spheres} spheres, {scene.dropped_triangles} dropped")
+    print(f"picture  {x1 - x0} x {y1 - y0} pixels, method {config.method}, budget {budget}")
+    print(f"caustics {'forecast from ' + str(config.forecast.photons) + ' photons' if caustics else 'not forecast'}")
+    print(f"memory   about {rank_mb:.0f} MB per rank and {node_mb:.0f} MB per node")
+    return 0

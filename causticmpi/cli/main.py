@@ -1,0 +1,73 @@
+"""`causticmpi VERB …`: reads the command line, nothing more; heavy modules are imported by the verb that needs them."""
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+
+from causticmpi import __version__
+from causticmpi.errors import InputError
+
+os.environ.setdefault("NUMBA_NUM_THREADS", "1")
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # one rank is one thread
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> None:  # type: ignore[override]
+        raise InputError(f"{self.prog}: {message}; see {self.prog} --help")
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The command line of all verbs."""
+    parser = _Parser(
+        prog="causticmpi",
+        description="Unbiased caustics, rendered in batch on many cores: IWS + Caustic Forecasting and its rivals.",
+        epilog="Start it plainly, with -j 2, or under mpirun -n 20. Exit codes: 0 done, 2 bad input, 1 anything else.",
+    )
+    parser.add_argument("--version", action="version", version=f"causticmpi {__version__}")
+    verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
+    render = verbs.add_parser("render", help="render a picture within a time or sample budget")
+    _common(render)
+    render.add_argument("--method", metavar="M", help="pt, pt-brute, iws or iws+cf")
+    budget = render.add_mutually_exclusive_group()
+    budget.add_argument("--time", metavar="T", help="wall-clock budget, such as 30s, 4min or 1h")
+    budget.add_argument("--spp", metavar="N", help="samples per pixel")
+    render.add_argument("--out", metavar="DIR", help="output directory")
+    render.add_argument("--seed", metavar="N", help="seed of all random numbers")
+    render.add_argument("-j", dest="ranks", metavar="RANKS", type=int, default=1, help="start this many ranks here")
+    render.add_argument("--force", action="store_true", help="replace the run that DIR holds")
+    check = verbs.add_parser("check", help="validate config and scene, estimate memory; renders nothing")
+    _common(check)
+    return parser
+
+
+def _common(verb: argparse.ArgumentParser) -> None:
+    verb.add_argument("config", metavar="CONFIG", help="config file (YAML)")
+    verb.add_argument(
+        "--set", dest="settings", metavar="KEY.SUB=VALUE", action="append", default=[], help="override a config value"
+    )
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the program; returns its exit code."""
+    argv = list(sys.argv[1:] if argv is None else argv)
+    try:
+        arguments = build_parser().parse_args(argv)
+        if arguments.verb == "check":
+            from causticmpi.cli.check import check
+
+            return check(arguments)
+        from causticmpi.cli.render import render
+
+        return render(arguments, argv)
+    except InputError as error:
+        return report_input_error(error)
+
+
+def report_input_error(error: InputError) -> int:
+    """Print bad input once, even where a launcher started many of us; code 2."""
+    from causticmpi.distributed.environment import launcher_rank
+
+    if launcher_rank() == 0:
+        print(f"causticmpi: {error}", file=sys.stderr, flush=True)
+    return 2

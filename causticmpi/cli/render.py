@@ -1,0 +1,34 @@
+"""`causticmpi render`: from the command line to the ranks."""
+
+import argparse
+from collections.abc import Sequence
+
+from causticmpi.config.load import load_config, scene_path
+
+
+def overrides(arguments: argparse.Namespace) -> list[str]:
+    """The options of the command line as config overrides, in the form `load_config` takes."""
+    named = ("method", "time", "spp", "seed", "out")
+    given = [f"--{name}={getattr(arguments, name)}" for name in named if getattr(arguments, name, None) is not None]
+    return [*arguments.settings, *given]
+
+
+def render(arguments: argparse.Namespace, argv: Sequence[str]) -> int:
+    """Start the ranks if asked to, else be one of them. Returns the exit code; raises InputError."""
+    from causticmpi.distributed.launch import launch_ranks
+
+    if arguments.ranks != 1:
+        code = launch_ranks(arguments.ranks, argv)
+        if code is not None:
+            return code
+    from causticmpi.distributed.failure import run_to_exit_code
+    from causticmpi.distributed.job import Request
+    from causticmpi.distributed.job import render as render_job
+    from causticmpi.distributed.world import open_world
+
+    def read_request() -> Request:
+        config = load_config(arguments.config, overrides(arguments))
+        return Request(config, scene_path(arguments.config, config), arguments.force, ("causticmpi", *argv))
+
+    world = open_world()
+    return run_to_exit_code(world, lambda: render_job(world, read_request))

@@ -1,0 +1,135 @@
+"""Before the first pass: the scene on every rank, compiled kernels on every node, forecast maps from rank 0."""
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from causticmpi.config.records import RenderConfig
+from causticmpi.distributed.clock import Stopwatch
+from causticmpi.distributed.world import World
+from causticmpi.kernels.embree import EmbreeScene, ray_buffer
+from causticmpi.kernels.traced_scene import TracedScene
+from causticmpi.preprocess.forecast import ForecastMaps, build_forecast, no_forecast
+from causticmpi.preprocess.photons import CausticPoints, shoot_photons
+from causticmpi.render.methods import FORECASTING
+from causticmpi.scene.content import has_specular
+from causticmpi.scene.data import SceneData
+from causticmpi.scene.tracing import primitive_arrays, traced_scene
+
+
+@dataclass
+class PreparedScene:
+    """A scene ready to trace on this rank. extent: diagonal of its bounding box; brightest: largest radiance."""
+
+    data: SceneData
+    embree: EmbreeScene
+    traced: TracedScene
+    extent: float
+    brightest: float
+
+
+def share_scene(world: World, scene: SceneData | None) -> PreparedScene:
+    """Collective. Rank 0's scene on every rank: arrays once per node, Embree's tree once per process."""
+    arrays = None
+    small = None
+    if scene is not None:
+        derived = primitive_arrays(scene)
+        arrays = {name: getattr(scene, name) for name in SceneData.ARRAYS}
+        arrays.update({f"derived.{name}": array for name, array in derived.items()})
+        small = {f.name: getattr(scene, f.name) for f in fields(scene) if f.name not in SceneData.ARRAYS}
+    shared = world.share(arrays)
+    small = world.broadcast(small)
+    data = SceneData(**{name: shared[name] for name in SceneData.ARRAYS}, **small)
+    derived = {
+        name.removeprefix("derived."): array for name, array in shared.items() if name.startswith("derived.")
+    }
+    embree = EmbreeScene(data.vertices, data.triangles, data.spheres, padded=world.size > 1)
+    return PreparedScene(data, embree, traced_scene(data, embree, derived), _extent(data), float(data.emission.max()))
+
+
+def _extent(scene: SceneData) -> float:
+    centres, radii = scene.spheres[:, :3].astype(np.float64), scene.spheres[:, 3:].astype(np.float64)
+    points = np.concatenate([scene.vertices.astype(np.float64), centres - radii, centres + radii])
+    return float(np.linalg.norm(np.ptp(points, axis=0)))
+
+
+@dataclass
+class Forecasting:
+    """Forecast maps on this rank and what their making told: photons found, particles emitted, rays, warnings."""
+
+    maps: ForecastMaps
+    photons: int = 0
+    emitted: int = 0
+    rays: int = 0
+    warnings: tuple[str, ...] = ()
+
+
+def needs_forecast(config: RenderConfig, scene: SceneData) -> bool:
+    """Caustics are forecast only where the method asks for it and a surface is specular."""
+    return config.method in FORECASTING and has_specular(scene) and config.forecast.photons > 0
+
+
+def prepare_forecast(world: World, config: RenderConfig, scene: PreparedScene, watch: Stopwatch) -> Forecasting:
+    """Collective. Rank 0 shoots, clusters and indexes the photons; every node gets the maps once.
+
+    A scene without a specular surface skips all of it.
+    """
+    if not needs_forecast(config, scene.data):
+        return Forecasting(share_maps(world, no_forecast() if world.is_root else None))
+    made = Forecasting(no_forecast())
+    if world.is_root:
+        settings = config.forecast
+        with watch.stage("photons"):
+            points, made.emitted, made.rays = shoot_photons(
+                scene.traced, ray_buffer(), config.seed, settings.photons
+            )
+        made.photons = len(points.power)
+        made.warnings = _warnings(made, settings.photons)
+        if made.photons:
+            made.maps = _timed_maps(config, points, watch)
+    with watch.stage("broadcast"):
+        made.maps = share_maps(world, made.maps if world.is_root else None)
+    return made
+
+
+def _timed_maps(config: RenderConfig, points: CausticPoints, watch: Stopwatch) -> ForecastMaps:
+    settings = config.forecast
+    maps, _, seconds = build_forecast(
+        points,
+        config.seed,
+        settings.clusters,
+        settings.neighbours,
+        settings.table,
+        settings.max_rank,
+        settings.splitting,
+        None if settings.radius == "auto" else float(settings.radius),
+        None if settings.overlap == "auto" else float(settings.overlap),
+    )
+    for stage, spent in seconds.items():
+        watch.add(stage, spent)
+    return maps
+
+
+def _warnings(made: Forecasting, wanted: int) -> tuple[str, ...]:
+    if made.photons == 0:
+        return (
+            f"no photon of {made.emitted} reached a surface by way of a specular one: caustics are sampled by the "
+            "cosine alone; is the specular object lit?",
+        )
+    if made.photons < wanted:
+        return (
+            f"the forecast is starved: {made.photons} of {wanted} caustic points after {made.emitted} particles; "
+            "the picture stays unbiased but caustics will be noisy",
+        )
+    return ()
+
+
+def share_maps(world: World, maps: ForecastMaps | None) -> ForecastMaps:
+    """Collective. Rank 0's maps on every rank, arrays once per node and as buffers, never pickled."""
+    arrays = scalars = None
+    if maps is not None:
+        arrays = {k: v for k, v in maps._asdict().items() if isinstance(v, np.ndarray)}
+        scalars = {k: v for k, v in maps._asdict().items() if k not in arrays}
+    shared: dict[str, Any] = dict(world.share(arrays))
+    return ForecastMaps(**shared, **world.broadcast(scalars))

@@ -1,0 +1,83 @@
+"""Compile, or load from disk, every kernel of a method before the clock matters: once per node, the other ranks asleep."""
+
+import numpy as np
+
+from causticmpi.config.records import Camera, RenderConfig
+from causticmpi.distributed.world import SerialWorld
+from causticmpi.kernels.jit import compiled_anew
+from causticmpi.kernels.pixels import pixel_order
+from causticmpi.preprocess import forecast, photons, vector_quantization
+from causticmpi.preprocess.forecast import build_forecast
+from causticmpi.preprocess.photons import CausticPoints, shoot_photons
+from causticmpi.estimators import iws_cf, path_tracing, virtual_lights
+from causticmpi.kernels import kdtree
+from causticmpi.kernels.embree import ray_buffer
+from causticmpi.render import features, film
+from causticmpi.render.film import Film
+from causticmpi.render.methods import FORECASTING, make_method
+from causticmpi.scene.data import SceneData
+from causticmpi.scene.tracing import camera_array
+
+KERNELS = [
+    path_tracing.trace_paths,
+    path_tracing.trace_paths_brute,
+    virtual_lights.trace_virtual_lights,
+    iws_cf.trace_iws_cf,
+    photons._shoot,
+    vector_quantization._compete,
+    vector_quantization.assign,
+    forecast._overlaps,
+    kdtree.build_trees,
+    film._accumulate,
+    features.first_hits,
+]
+"""Every kernel of the program, asked after their cache misses."""
+
+
+def tiny_scene() -> SceneData:
+    """One lit triangle: all array types of a real scene, nothing to trace."""
+    return SceneData(
+        vertices=np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32),
+        triangles=np.array([[0, 1, 2]], np.int32),
+        spheres=np.zeros((0, 4), np.float32),
+        primitive_material=np.zeros(1, np.int32),
+        primitive_emission=np.zeros(1, np.int32),
+        material_kind=np.zeros(1, np.int32),
+        material_reflectance=np.full((1, 3), 0.5, np.float32),
+        material_specular=np.zeros((1, 3), np.float32),
+        material_exponent=np.zeros(1, np.float32),
+        material_ior=np.ones(1, np.float32),
+        emission=np.ones((1, 3), np.float32),
+        camera=Camera(eye=(0, 0, 1), target=(0, 0, 0)),
+        name="tiny",
+        content_hash="",
+    )
+
+
+def warm_up(config: RenderConfig, root: bool) -> bool:
+    """Run the kernels of the configured method on a tiny scene. True if anything had to be compiled.
+
+    root: also those only rank 0 needs (preprocess, features).
+    """
+    from causticmpi.distributed.prepare import share_maps, share_scene
+
+    before = compiled_anew(KERNELS)
+    world = SerialWorld()
+    scene = share_scene(world, tiny_scene())
+    camera = camera_array(scene.data.camera, 4, 4)
+    pixels = pixel_order((0, 0, 4, 4), 4)
+    rays = ray_buffer()
+    if root:
+        features.first_hits(scene.traced, camera, rays, pixels, np.zeros((16, 7), np.float32))
+    if root and config.method in FORECASTING:
+        shoot_photons(scene.traced, rays, 0, 1)
+        points = CausticPoints(*(np.ones((4, 3), np.float32) for _ in range(4)))
+        build_forecast(points, 0, 2, 2, (4, 4), 8, 1)
+    maps = share_maps(world, forecast.no_forecast())
+    method = make_method(config, scene.traced, camera, maps, 1.0)
+    method.begin_pass(0)
+    pass_film = np.zeros((16, 6), np.float32)
+    method.trace(pixels, pass_film)
+    Film(16, 2.0**-40).add_pass(pass_film)
+    scene.embree.close()
+    return compiled_anew(KERNELS) > before

@@ -1,0 +1,97 @@
+"""Films: sums over passes, never means, that come out bit for bit alike for any number of ranks and any order.
+
+Every pass value is rounded to a multiple of a fixed power of two, `quantum`, before it is added in float64. As long as a
+sum stays below 2^53 quanta, float64 adds such numbers without rounding, so the order of addition cannot show. The
+quantum is 2^-40 of the brightest light, some 10^-12 of what is visible beside it.
+"""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from causticmpi.kernels.jit import kernel
+
+CHANNELS = 9
+"""Per pixel: sum of L_d (3), sum of L_c (3), sum of squares of their total (3)."""
+QUANTUM_BITS = 40
+
+
+@kernel
+def _accumulate(pass_film, sums, quantum):
+    """Add the pass film (n, 6) to the sums (n, CHANNELS) and blank it. Returns non-finite samples, counted as black."""
+    inverse = 1.0 / quantum
+    inverse2 = inverse * inverse
+    bad = 0
+    for i in range(pass_film.shape[0]):
+        finite = True
+        for c in range(6):
+            x = pass_film[i, c]
+            finite = finite and (abs(x) < np.float32(3e38))
+        if not finite:
+            bad += 1
+        for c in range(3):
+            d = np.float64(pass_film[i, c]) if finite else 0.0
+            k = np.float64(pass_film[i, 3 + c]) if finite else 0.0
+            total = d + k
+            sums[i, c] += np.rint(d * inverse) * quantum
+            sums[i, 3 + c] += np.rint(k * inverse) * quantum
+            # Squares are rounded to the square of a coarser quantum: they feed the variance alone.
+            sums[i, 6 + c] += np.rint(total * total * (inverse2 * SQUARE_SCALE)) * (quantum * quantum / SQUARE_SCALE)
+            pass_film[i, c] = 0
+            pass_film[i, 3 + c] = 0
+    return bad
+
+
+SQUARE_SCALE = 2.0**-40
+"""Squares are kept to multiples of quantum^2 * 2^40."""
+
+
+@dataclass
+class Film:
+    """Sums of independent passes over the pixels of one window.
+
+    sums (slots, CHANNELS) float64; passes, nonfinite, rays: counts. `quantum` in units of radiance.
+    """
+
+    slots: int
+    quantum: float
+    passes: int = 0
+    nonfinite: int = 0
+    rays: int = 0
+    sums: np.ndarray = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.sums = np.zeros((self.slots, CHANNELS))
+
+    def add_pass(self, pass_film: np.ndarray) -> None:
+        """Add what one pass put on `pass_film` (slots, 6) float32, and blank it. The caller counts passes: several ranks
+        may have shared one."""
+        self.nonfinite += _accumulate(pass_film, self.sums, self.quantum)
+
+    def merge(self, other: "Film") -> None:
+        """Add another film's sums and counts."""
+        self.sums += other.sums
+        self.passes += other.passes
+        self.nonfinite += other.nonfinite
+        self.rays += other.rays
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self.sums[:] = 0
+        self.passes = self.nonfinite = self.rays = 0
+
+
+def quantum_for(brightest: float) -> float:
+    """The quantum of a scene whose brightest light has this radiance."""
+    return 2.0 ** (math.ceil(math.log2(brightest)) - QUANTUM_BITS)
+
+
+def resolve(sums: np.ndarray, passes: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """L_d, L_c and the variance of their sum's mean, each (slots, 3) float64; the variance is 0 for a single pass."""
+    diffusive, caustic = sums[:, :3] / passes, sums[:, 3:6] / passes
+    mean = diffusive + caustic
+    if passes < 2:
+        return diffusive, caustic, np.zeros_like(mean)
+    spread = np.maximum(sums[:, 6:] / passes - mean * mean, 0)
+    return diffusive, caustic, spread / (passes - 1)
