@@ -156,9 +156,7 @@ class _Run:
         self._say("forecast")
         self.forecasting: Forecasting = prepare_forecast(self.world, self.config, self.scene, self.watch)
         self.film.rays += self.forecasting.rays
-        method = make_method(
-            self.config, self.scene.traced, self.camera, self.forecasting.maps, self.scene.extent
-        )
+        method = make_method(self.config, self.scene.traced, self.camera, self.forecasting.maps, self.scene.extent)
         self.batches = Batches(method, self.pixels, self.film.slots)
         if self.world.is_root:
             for warning in self.forecasting.warnings:

@@ -41,9 +41,7 @@ def share_scene(world: World, scene: SceneData | None) -> PreparedScene:
     shared = world.share(arrays)
     small = world.broadcast(small)
     data = SceneData(**{name: shared[name] for name in SceneData.ARRAYS}, **small)
-    derived = {
-        name.removeprefix("derived."): array for name, array in shared.items() if name.startswith("derived.")
-    }
+    derived = {name.removeprefix("derived."): array for name, array in shared.items() if name.startswith("derived.")}
     embree = EmbreeScene(data.vertices, data.triangles, data.spheres, padded=world.size > 1)
     return PreparedScene(data, embree, traced_scene(data, embree, derived), _extent(data), float(data.emission.max()))
 
@@ -81,9 +79,7 @@ def prepare_forecast(world: World, config: RenderConfig, scene: PreparedScene, w
     if world.is_root:
         settings = config.forecast
         with watch.stage("photons"):
-            points, made.emitted, made.rays = shoot_photons(
-                scene.traced, ray_buffer(), config.seed, settings.photons
-            )
+            points, made.emitted, made.rays = shoot_photons(scene.traced, ray_buffer(), config.seed, settings.photons)
         made.photons = len(points.power)
         made.warnings = _warnings(made, settings.photons)
         if made.photons:

@@ -4,14 +4,14 @@ import numpy as np
 
 from causticmpi.config.records import Camera, RenderConfig
 from causticmpi.distributed.world import SerialWorld
+from causticmpi.estimators import iws_cf, path_tracing, virtual_lights
+from causticmpi.kernels import kdtree
+from causticmpi.kernels.embree import ray_buffer
 from causticmpi.kernels.jit import compiled_anew
 from causticmpi.kernels.pixels import pixel_order
 from causticmpi.preprocess import forecast, photons, vector_quantization
 from causticmpi.preprocess.forecast import build_forecast
 from causticmpi.preprocess.photons import CausticPoints, shoot_photons
-from causticmpi.estimators import iws_cf, path_tracing, virtual_lights
-from causticmpi.kernels import kdtree
-from causticmpi.kernels.embree import ray_buffer
 from causticmpi.render import features, film
 from causticmpi.render.film import Film
 from causticmpi.render.methods import FORECASTING, make_method

@@ -15,7 +15,7 @@ from causticmpi.kernels import bsdf, vec
 from causticmpi.kernels.jit import inline
 from causticmpi.kernels.kdtree import MAX_DEPTH, nearest
 from causticmpi.kernels.vec import HALF, INV_PI, ONE, TWO_PI, ZERO
-from causticmpi.preprocess.forecast import ForecastMaps, cluster_of
+from causticmpi.preprocess.forecast import ForecastMaps
 
 
 class ForecastWork(NamedTuple):

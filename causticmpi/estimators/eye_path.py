@@ -45,9 +45,7 @@ def follow_chain(scene, rays, origin, direction, primitive, t, throughput, key):
                 primitive = np.int64(-1)
                 break
             throughput = vec.scale(throughput, ONE / bsdf.SURVIVAL)
-        origin, direction, throughput = scatter_along_eye_path(
-            scene, primitive, n, p, offset, direction, throughput, u
-        )
+        origin, direction, throughput = scatter_along_eye_path(scene, primitive, n, p, offset, direction, throughput, u)
         if vec.max3(throughput) <= ZERO:
             primitive = np.int64(-1)
             break

@@ -22,7 +22,7 @@ from causticmpi.kernels.camera import primary_ray
 from causticmpi.kernels.embree import intersect
 from causticmpi.kernels.jit import inline, kernel
 from causticmpi.kernels.pixels import add_sample
-from causticmpi.kernels.traced_scene import hit_point, is_specular
+from causticmpi.kernels.traced_scene import is_specular
 from causticmpi.kernels.vec import BLACK, INFINITY, INV_PI, ONE, WHITE, ZERO
 from causticmpi.preprocess.forecast import cluster_of
 
@@ -170,9 +170,7 @@ def _expand(scene, work, lights, count, maps, few, bound, compensation_reach, ca
     traced, lost = 0, 0
     if depth > 0:
         start, _ = rng.uniform2(key, FEW)
-        light, shadows = ws.gather_few(
-            scene, work.packet, lights, count, few, p, n, offset, wo, material, bound, start
-        )
+        light, shadows = ws.gather_few(scene, work.packet, lights, count, few, p, n, offset, wo, material, bound, start)
         own = vec.mul(throughput, light)
         traced += shadows
     samples, occupied = 0, 0
@@ -240,9 +238,7 @@ def _expand(scene, work, lights, count, maps, few, bound, compensation_reach, ca
             geometry = vec.dot(n, direction) * -vec.dot(m, direction) / (far * far)
             sharp = ws.sharpness(bsdf.evaluate(scene, material, n, wo, direction))
             emission = vec.scale(emission, ONE - ws.bounded_share(geometry, sharp, bound))
-            reflected = vec.scale(
-                weight, ONE - ws.bounded_share(geometry, sharp * bsdf.peak(scene, other), bound)
-            )
+            reflected = vec.scale(weight, ONE - ws.bounded_share(geometry, sharp * bsdf.peak(scene, other), bound))
         light = vec.mul(weight, emission)
         if hit_layer == layer:
             own = vec.add(own, light)
@@ -258,8 +254,17 @@ def _expand(scene, work, lights, count, maps, few, bound, compensation_reach, ca
             lost += 1
             continue
         top = _push(
-            work, top, vec.along(q, m, offset_q), offset_q, m, vec.neg(arrived), vec.scale(reflected, alive),
-            other, depth + 1, hit_layer, rng.subkey(ray_key, SAMPLE),
+            work,
+            top,
+            vec.along(q, m, offset_q),
+            offset_q,
+            m,
+            vec.neg(arrived),
+            vec.scale(reflected, alive),
+            other,
+            depth + 1,
+            hit_layer,
+            rng.subkey(ray_key, SAMPLE),
         )
     cf.clear_tables(work.forecast, occupied)
     return top, layer, own, caustic, traced, lost
@@ -292,12 +297,17 @@ def trace_iws_cf(
             top = 0
             if work.lane[i, 3] > ZERO:
                 top = _push(
-                    work, 0,
+                    work,
+                    0,
                     (packet[ws.POINT + i], packet[ws.POINT + 16 + i], packet[ws.POINT + 32 + i]),
                     packet[ws.EPSILON + i],
                     (packet[ws.NORMAL + i], packet[ws.NORMAL + 16 + i], packet[ws.NORMAL + 32 + i]),
                     (packet[ws.OUT + i], packet[ws.OUT + 16 + i], packet[ws.OUT + 32 + i]),
-                    vec.row(work.lane, i), work.lane_material[i], 0, DIFFUSIVE, rng.subkey(work.lane_key[i], SAMPLE),
+                    vec.row(work.lane, i),
+                    work.lane_material[i],
+                    0,
+                    DIFFUSIVE,
+                    rng.subkey(work.lane_key[i], SAMPLE),
                 )
             while top > 0:
                 top, layer, own, extra, rays, missing = _expand(

@@ -13,9 +13,9 @@ from causticmpi.kernels import bsdf, rng, vec
 from causticmpi.kernels.camera import primary_ray
 from causticmpi.kernels.embree import intersect, visible
 from causticmpi.kernels.jit import inline, kernel
+from causticmpi.kernels.pixels import add_sample
 from causticmpi.kernels.traced_scene import hit_point, is_specular, light_point, pick_light
 from causticmpi.kernels.vec import BLACK, INFINITY, ONE, WHITE, ZERO
-from causticmpi.kernels.pixels import add_sample
 
 ROULETTE_START = 3
 """Diffuse vertices before Russian roulette sets in; before it roulette costs more noise than it saves time."""

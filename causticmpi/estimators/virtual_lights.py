@@ -48,9 +48,6 @@ def empty_virtual_lights(capacity: int) -> VirtualLights:
     )
 
 
-
-
-
 @inline
 def _radical_inverse(base, index):
     inverse = 1.0 / base

@@ -4,7 +4,11 @@ The library is the one that the `embreex` wheel ships. Entry points are declared
 can be cached on disk (a function pointer could not). One thread and one device a process: ranks are the parallelism.
 """
 
+import contextlib
 import ctypes
+import functools
+import os
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -58,7 +62,6 @@ for _name, _result, _arguments in (
     ("rtcReleaseGeometry", None, [ctypes.c_void_p]),
     ("rtcCommitScene", None, [ctypes.c_void_p]),
     ("rtcReleaseScene", None, [ctypes.c_void_p]),
-    ("rtcReleaseDevice", None, [ctypes.c_void_p]),
 ):
     getattr(_LIB, _name).restype = _result
     getattr(_LIB, _name).argtypes = _arguments
@@ -69,10 +72,53 @@ _LIB.rtcSetDeviceMemoryMonitorFunction.restype = None
 
 rtc_intersect1 = types.ExternalFunction("rtcIntersect1", types.void(types.intp, types.intp, types.intp))
 rtc_occluded1 = types.ExternalFunction("rtcOccluded1", types.void(types.intp, types.intp, types.intp))
-rtc_intersect16 = types.ExternalFunction(
-    "rtcIntersect16", types.void(types.intp, types.intp, types.intp, types.intp)
-)
+rtc_intersect16 = types.ExternalFunction("rtcIntersect16", types.void(types.intp, types.intp, types.intp, types.intp))
 rtc_occluded16 = types.ExternalFunction("rtcOccluded16", types.void(types.intp, types.intp, types.intp, types.intp))
+
+
+class _Device:
+    """The one Embree device of this process. `bytes`: memory its scenes hold now."""
+
+    def __init__(self) -> None:
+        self.bytes = 0
+
+        def monitor(_: object, amount: int, __: bool) -> bool:
+            self.bytes += amount
+            return True
+
+        self._monitor = _MEMORY_MONITOR(monitor)  # kept alive: Embree calls it
+        with one_core():
+            self.handle = _LIB.rtcNewDevice(b"threads=1,set_affinity=0")
+        if not self.handle:
+            raise RuntimeError(f"Embree gave no device (error {_LIB.rtcGetDeviceError(None)})")
+        _LIB.rtcSetDeviceMemoryMonitorFunction(self.handle, self._monitor, None)
+        self.native16 = bool(_LIB.rtcGetDeviceProperty(self.handle, _PROPERTY_NATIVE_16))
+        version = _LIB.rtcGetDeviceProperty(self.handle, _PROPERTY_VERSION)
+        self.version = f"{version // 10000}.{version // 100 % 100}.{version % 100}"
+
+
+@contextlib.contextmanager
+def one_core() -> Iterator[None]:
+    """Let the process see a single core for a while.
+
+    Embree's task scheduler (TBB) otherwise starts a worker thread in spite of threads=1, and after a second device that
+    worker spins for ever, taking a whole core from the ranks (embree 4.4.0, tests/test_embree.py).
+    """
+    if not hasattr(os, "sched_setaffinity"):
+        yield
+        return
+    cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(cores)})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, cores)
+
+
+@functools.cache
+def device() -> _Device:
+    """The device, made on first use."""
+    return _Device()
 
 
 class EmbreeScene:
@@ -84,20 +130,9 @@ class EmbreeScene:
     """
 
     def __init__(self, vertices: np.ndarray, triangles: np.ndarray, spheres: np.ndarray, padded: bool = False) -> None:
-        self.bytes = 0
-
-        def monitor(_: object, amount: int, __: bool) -> bool:
-            self.bytes += amount
-            return True
-
-        self._monitor = _MEMORY_MONITOR(monitor)
-        self._device = _LIB.rtcNewDevice(b"threads=1,set_affinity=0")
-        if not self._device:
-            raise RuntimeError(f"Embree gave no device (error {_LIB.rtcGetDeviceError(None)})")
-        _LIB.rtcSetDeviceMemoryMonitorFunction(self._device, self._monitor, None)
-        self.native16 = bool(_LIB.rtcGetDeviceProperty(self._device, _PROPERTY_NATIVE_16))
-        version = _LIB.rtcGetDeviceProperty(self._device, _PROPERTY_VERSION)
-        self.version = f"{version // 10000}.{version // 100 % 100}.{version % 100}"
+        before = device().bytes
+        self._device = device().handle
+        self.native16, self.version = device().native16, device().version
         scene = self._scene = _LIB.rtcNewScene(self._device)
         _LIB.rtcSetSceneBuildQuality(scene, _QUALITY_HIGH)
         # Robust: watertight edges, and no false miss between the triangles of a closed mesh.
@@ -113,11 +148,13 @@ class EmbreeScene:
             geometry = _LIB.rtcNewGeometry(self._device, _TYPE_SPHERE)
             self._share(geometry, _BUFFER_VERTEX, _FORMAT_FLOAT4, shared_spheres, 16)
             self._attach(geometry, SPHERES)
-        _LIB.rtcCommitScene(scene)
+        with one_core():
+            _LIB.rtcCommitScene(scene)
         error = _LIB.rtcGetDeviceError(self._device)
         if error:
             raise RuntimeError(f"Embree could not build the scene (error {error})")
         self.handle = int(scene)
+        self.bytes = device().bytes - before
 
     @staticmethod
     def _share(geometry: int, kind: int, layout: int, array: np.ndarray, stride: int) -> None:
@@ -130,11 +167,10 @@ class EmbreeScene:
         _LIB.rtcReleaseGeometry(geometry)
 
     def close(self) -> None:
-        """Release scene and device; kernels must not use `handle` any more."""
+        """Release the scene; kernels must not use `handle` any more."""
         if self._scene:
             _LIB.rtcReleaseScene(self._scene)
-            _LIB.rtcReleaseDevice(self._device)
-            self._scene = self._device = None
+            self._scene = None
 
 
 def _padded(array: np.ndarray) -> np.ndarray:

@@ -26,7 +26,9 @@ def pixel_order(window: tuple[int, int, int, int], width: int) -> np.ndarray:
     x, y = (a.reshape(shape).transpose(0, 3, 1, 4, 2, 5).reshape(-1, TILE * TILE) for a in (x, y))
     inside = (x < x1) & (y < y1)
     keep = inside.any(axis=1)
-    order = np.where(inside[..., None], np.stack([x, y, y * width + x, (y - y0) * (x1 - x0) + x - x0], axis=-1), -1)[keep]
+    order = np.where(inside[..., None], np.stack([x, y, y * width + x, (y - y0) * (x1 - x0) + x - x0], axis=-1), -1)[
+        keep
+    ]
     return np.ascontiguousarray(order.reshape(-1, 4).astype(np.int32))
 
 

@@ -11,8 +11,8 @@ from causticmpi.estimators import particles
 from causticmpi.estimators.eye_path import facing
 from causticmpi.kernels import rng, vec
 from causticmpi.kernels.jit import kernel
-from causticmpi.kernels.vec import ONE, ZERO
 from causticmpi.kernels.traced_scene import TracedScene
+from causticmpi.kernels.vec import ZERO
 
 
 class CausticPoints(NamedTuple):
@@ -58,9 +58,7 @@ def _shoot(scene, rays, seed, first, last, points, stored):
                     points.power[stored, c] = flux[c]
                 stored += 1
             u, v = rng.uniform2(vertex, particles.DIRECTION)
-            direction, flux = particles.scatter_particle(
-                scene, scene.material[primitive], n, back, flux, vertex, u, v
-            )
+            direction, flux = particles.scatter_particle(scene, scene.material[primitive], n, back, flux, vertex, u, v)
             origin = vec.along(p, n, offset)
             bounce += 1
         particle += 1

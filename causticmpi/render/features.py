@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from causticmpi.kernels import bsdf, vec
+from causticmpi.estimators.eye_path import facing
+from causticmpi.kernels import bsdf
 from causticmpi.kernels.camera import primary_ray
 from causticmpi.kernels.embree import intersect
 from causticmpi.kernels.jit import kernel
 from causticmpi.kernels.traced_scene import hit_point
 from causticmpi.kernels.vec import HALF, INFINITY
-from causticmpi.estimators.eye_path import facing
 
 
 @kernel
@@ -19,9 +19,7 @@ def first_hits(scene, camera, rays, pixels, features):
         slot = pixels[i, 3]
         if pixels[i, 0] < 0:
             continue
-        origin, direction = primary_ray(
-            camera, np.float32(pixels[i, 0]) + HALF, np.float32(pixels[i, 1]) + HALF
-        )
+        origin, direction = primary_ray(camera, np.float32(pixels[i, 0]) + HALF, np.float32(pixels[i, 1]) + HALF)
         primitive, t = intersect(scene.handle, scene.triangle_count, rays, origin, direction, INFINITY)
         features[slot, 6] = t
         if primitive < 0:

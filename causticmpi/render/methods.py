@@ -79,9 +79,7 @@ class WeakSingularities:
     def begin_pass(self, pass_index: int) -> int:
         self.pass_index = pass_index
         while True:
-            count, rays = trace_virtual_lights(
-                self.scene, self.rays, self.seed, pass_index, self.paths, self.lights
-            )
+            count, rays = trace_virtual_lights(self.scene, self.rays, self.seed, pass_index, self.paths, self.lights)
             if count <= len(self.lights.offset):
                 self.light_count = count
                 return rays
