@@ -16,9 +16,12 @@ PROCESS_MB = 150
 
 def check(arguments: argparse.Namespace) -> int:
     """Validate all that `render` would read; print what it will need. Raises InputError."""
+    from causticmpi.distributed.environment import launcher_rank
     from causticmpi.scene.content import has_specular
     from causticmpi.scene.load import load_scene
 
+    if launcher_rank() > 0:
+        return 0  # under mpirun one of us is enough
     config = load_config(arguments.config, overrides(arguments))
     scene = load_scene(scene_path(arguments.config, config))
     check_directory(config.output.directory, force=True)

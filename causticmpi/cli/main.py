@@ -49,8 +49,17 @@ def _common(verb: argparse.ArgumentParser) -> None:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the program; returns its exit code."""
-    argv = list(sys.argv[1:] if argv is None else argv)
+    """Run the program; returns its exit code. Without `argv` it is all that the process does: a rank ends in here."""
+    if argv is not None:
+        return _run(list(argv))
+    from causticmpi.distributed.leaving import leave
+
+    code = _run(sys.argv[1:])
+    leave(code)
+    return code
+
+
+def _run(argv: list[str]) -> int:
     try:
         arguments = build_parser().parse_args(argv)
         if arguments.verb == "check":

@@ -21,7 +21,7 @@ def render(arguments: argparse.Namespace, argv: Sequence[str]) -> int:
         code = launch_ranks(arguments.ranks, argv)
         if code is not None:
             return code
-    from causticmpi.distributed.failure import run_to_exit_code
+    from causticmpi.distributed.failure import install_abort_hook, run_to_exit_code
     from causticmpi.distributed.job import Request
     from causticmpi.distributed.job import render as render_job
     from causticmpi.distributed.world import open_world
@@ -31,4 +31,5 @@ def render(arguments: argparse.Namespace, argv: Sequence[str]) -> int:
         return Request(config, scene_path(arguments.config, config), arguments.force, ("causticmpi", *argv))
 
     world = open_world()
+    install_abort_hook(world)
     return run_to_exit_code(world, lambda: render_job(world, read_request))

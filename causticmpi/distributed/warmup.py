@@ -1,4 +1,4 @@
-"""Compile, or load from disk, every kernel of a method before the clock matters: once per node, the other ranks asleep."""
+"""Compile, or load from disk, every kernel of a method before the clock matters: once per node, the others asleep."""
 
 import numpy as np
 

@@ -40,7 +40,7 @@ def _library_path() -> Path:
 
 
 _PATH = str(_library_path())
-_LIB = ctypes.CDLL(_PATH)
+LIBRARY = ctypes.CDLL(_PATH)
 llvm.load_library_permanently(_PATH)
 for _name, _result, _arguments in (
     ("rtcNewDevice", ctypes.c_void_p, [ctypes.c_char_p]),
@@ -63,12 +63,12 @@ for _name, _result, _arguments in (
     ("rtcCommitScene", None, [ctypes.c_void_p]),
     ("rtcReleaseScene", None, [ctypes.c_void_p]),
 ):
-    getattr(_LIB, _name).restype = _result
-    getattr(_LIB, _name).argtypes = _arguments
+    getattr(LIBRARY, _name).restype = _result
+    getattr(LIBRARY, _name).argtypes = _arguments
 
 _MEMORY_MONITOR = ctypes.CFUNCTYPE(ctypes.c_bool, ctypes.c_void_p, ctypes.c_ssize_t, ctypes.c_bool)
-_LIB.rtcSetDeviceMemoryMonitorFunction.argtypes = [ctypes.c_void_p, _MEMORY_MONITOR, ctypes.c_void_p]
-_LIB.rtcSetDeviceMemoryMonitorFunction.restype = None
+LIBRARY.rtcSetDeviceMemoryMonitorFunction.argtypes = [ctypes.c_void_p, _MEMORY_MONITOR, ctypes.c_void_p]
+LIBRARY.rtcSetDeviceMemoryMonitorFunction.restype = None
 
 rtc_intersect1 = types.ExternalFunction("rtcIntersect1", types.void(types.intp, types.intp, types.intp))
 rtc_occluded1 = types.ExternalFunction("rtcOccluded1", types.void(types.intp, types.intp, types.intp))
@@ -88,12 +88,12 @@ class _Device:
 
         self._monitor = _MEMORY_MONITOR(monitor)  # kept alive: Embree calls it
         with one_core():
-            self.handle = _LIB.rtcNewDevice(b"threads=1,set_affinity=0")
+            self.handle = LIBRARY.rtcNewDevice(b"threads=1,set_affinity=0")
         if not self.handle:
-            raise RuntimeError(f"Embree gave no device (error {_LIB.rtcGetDeviceError(None)})")
-        _LIB.rtcSetDeviceMemoryMonitorFunction(self.handle, self._monitor, None)
-        self.native16 = bool(_LIB.rtcGetDeviceProperty(self.handle, _PROPERTY_NATIVE_16))
-        version = _LIB.rtcGetDeviceProperty(self.handle, _PROPERTY_VERSION)
+            raise RuntimeError(f"Embree gave no device (error {LIBRARY.rtcGetDeviceError(None)})")
+        LIBRARY.rtcSetDeviceMemoryMonitorFunction(self.handle, self._monitor, None)
+        self.native16 = bool(LIBRARY.rtcGetDeviceProperty(self.handle, _PROPERTY_NATIVE_16))
+        version = LIBRARY.rtcGetDeviceProperty(self.handle, _PROPERTY_VERSION)
         self.version = f"{version // 10000}.{version // 100 % 100}.{version % 100}"
 
 
@@ -133,24 +133,24 @@ class EmbreeScene:
         before = device().bytes
         self._device = device().handle
         self.native16, self.version = device().native16, device().version
-        scene = self._scene = _LIB.rtcNewScene(self._device)
-        _LIB.rtcSetSceneBuildQuality(scene, _QUALITY_HIGH)
+        scene = self._scene = LIBRARY.rtcNewScene(self._device)
+        LIBRARY.rtcSetSceneBuildQuality(scene, _QUALITY_HIGH)
         # Robust: watertight edges, and no false miss between the triangles of a closed mesh.
-        _LIB.rtcSetSceneFlags(scene, _SCENE_ROBUST)
+        LIBRARY.rtcSetSceneFlags(scene, _SCENE_ROBUST)
         self._buffers = [a if padded else _padded(a) for a in (vertices, triangles, spheres)]
         shared_vertices, shared_triangles, shared_spheres = self._buffers
         if len(triangles):
-            geometry = _LIB.rtcNewGeometry(self._device, _TYPE_TRIANGLE)
+            geometry = LIBRARY.rtcNewGeometry(self._device, _TYPE_TRIANGLE)
             self._share(geometry, _BUFFER_VERTEX, _FORMAT_FLOAT3, shared_vertices, 12)
             self._share(geometry, _BUFFER_INDEX, _FORMAT_UINT3, shared_triangles, 12)
             self._attach(geometry, TRIANGLES)
         if len(spheres):
-            geometry = _LIB.rtcNewGeometry(self._device, _TYPE_SPHERE)
+            geometry = LIBRARY.rtcNewGeometry(self._device, _TYPE_SPHERE)
             self._share(geometry, _BUFFER_VERTEX, _FORMAT_FLOAT4, shared_spheres, 16)
             self._attach(geometry, SPHERES)
         with one_core():
-            _LIB.rtcCommitScene(scene)
-        error = _LIB.rtcGetDeviceError(self._device)
+            LIBRARY.rtcCommitScene(scene)
+        error = LIBRARY.rtcGetDeviceError(self._device)
         if error:
             raise RuntimeError(f"Embree could not build the scene (error {error})")
         self.handle = int(scene)
@@ -158,18 +158,18 @@ class EmbreeScene:
 
     @staticmethod
     def _share(geometry: int, kind: int, layout: int, array: np.ndarray, stride: int) -> None:
-        _LIB.rtcSetSharedGeometryBuffer(geometry, kind, 0, layout, array.ctypes.data, 0, stride, len(array))
+        LIBRARY.rtcSetSharedGeometryBuffer(geometry, kind, 0, layout, array.ctypes.data, 0, stride, len(array))
 
     def _attach(self, geometry: int, identifier: int) -> None:
-        _LIB.rtcSetGeometryBuildQuality(geometry, _QUALITY_HIGH)
-        _LIB.rtcCommitGeometry(geometry)
-        _LIB.rtcAttachGeometryByID(self._scene, geometry, identifier)
-        _LIB.rtcReleaseGeometry(geometry)
+        LIBRARY.rtcSetGeometryBuildQuality(geometry, _QUALITY_HIGH)
+        LIBRARY.rtcCommitGeometry(geometry)
+        LIBRARY.rtcAttachGeometryByID(self._scene, geometry, identifier)
+        LIBRARY.rtcReleaseGeometry(geometry)
 
     def close(self) -> None:
         """Release the scene; kernels must not use `handle` any more."""
         if self._scene:
-            _LIB.rtcReleaseScene(self._scene)
+            LIBRARY.rtcReleaseScene(self._scene)
             self._scene = None
 
 
@@ -193,6 +193,7 @@ def ray_buffer() -> np.ndarray:
     return buffer
 
 
+LANES = 16
 VALID, RAY16 = 32, 48
 """First words of the valid mask and of the 16-wide ray in `ray_buffer`."""
 TNEAR, TFAR, PRIM, GEOM = 3, 8, 17, 18

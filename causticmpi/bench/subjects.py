@@ -1,0 +1,139 @@
+"""What is timed: each kernel of the renderer on one scene, and Embree alone on recorded rays."""
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from causticmpi.config.load import load_config, scene_path
+from causticmpi.distributed.clock import Stopwatch
+from causticmpi.distributed.prepare import prepare_forecast, share_scene
+from causticmpi.distributed.world import SerialWorld
+from causticmpi.estimators import iws_cf
+from causticmpi.kernels.embree import LANES, MISS, PRIM, GEOM, TFAR, ray_buffer, rtc_intersect1, rtc_occluded1, rtc_occluded16
+from causticmpi.kernels.jit import kernel
+from causticmpi.kernels.pixels import pixel_order
+from causticmpi.preprocess.photons import shoot_photons
+from causticmpi.render.methods import PathTracing, WeakSingularities, make_method
+from causticmpi.scene.load import load_scene
+from causticmpi.scene.tracing import camera_array
+
+
+@kernel
+def _see_and_gather(scene, camera, work, pixels, pass_index, lights, count, bound):
+    """First vertices and their virtual lights, for whole tiles. Returns (rays to see, shadow rays)."""
+    seen, shadows = 0, 0
+    for first in range(0, pixels.shape[0], LANES):
+        used, rays = iws_cf._see_tile(scene, camera, work, pixels, first, 1, pass_index)
+        seen += rays
+        if used > 0 and count > 0:
+            shadows += iws_cf._gather_lights(scene, work, lights, count, np.float32(bound))
+    return seen, shadows
+
+
+@kernel
+def _replay_single(handle, queries, buffer):
+    """Embree alone on recorded single rays, in place. Returns hits, so that nothing is optimized away."""
+    hits = 0
+    words = queries.view(np.uint32)
+    base = queries.ctypes.data
+    for i in range(queries.shape[0]):
+        if queries[i, 23] == 0:
+            words[i, GEOM] = MISS
+            rtc_intersect1(handle, base + i * 128, 0)
+            hits += words[i, PRIM]
+        else:
+            rtc_occluded1(handle, base + i * 128, 0)
+            hits += queries[i, TFAR] < 0
+    return hits
+
+
+@kernel
+def _replay_packets(handle, valid, packets):
+    """Embree alone on recorded packets, in place."""
+    base = packets.ctypes.data
+    for i in range(packets.shape[0]):
+        rtc_occluded16(valid.ctypes.data, handle, base + i * 4 * packets.shape[1], 0)
+
+
+def _aligned(rows: int, words: int) -> np.ndarray:
+    raw = np.zeros(rows * words * 4 + 64, np.uint8)
+    start = -raw.ctypes.data % 64
+    return raw[start : start + rows * words * 4].view(np.float32).reshape(rows, words)
+
+
+class Subject:
+    """One scene, ready to time. Every method returns (queries, CPU seconds)."""
+
+    def __init__(self, config_file: str | Path) -> None:
+        self.config = load_config(config_file)
+        self.scene = share_scene(SerialWorld(), load_scene(scene_path(config_file, self.config)))
+        width, height = self.config.film.width, self.config.film.height
+        self.camera = camera_array(self.scene.data.camera, width, height)
+        self.pixels = pixel_order((0, 0, width, height), width)
+        self.film = np.zeros((width * height, 6), np.float32)
+        self.pass_index = 0
+
+    def _method(self, name: str) -> Any:
+        import msgspec
+
+        config = msgspec.structs.replace(self.config, method=name)
+        maps = prepare_forecast(SerialWorld(), config, self.scene, Stopwatch()).maps
+        return make_method(config, self.scene.traced, self.camera, maps, self.scene.extent)
+
+    def path_tracing(self) -> tuple[int, float]:
+        """One pass of `pt`."""
+        method = self._method("pt")
+        assert isinstance(method, PathTracing)
+        method.begin_pass(0)
+        method.trace(self.pixels[:0], self.film)
+        return _timed(lambda: method.trace(self.pixels, self.film))
+
+    def gather(self, pixels: np.ndarray | None = None) -> tuple[int, float]:
+        """Virtual lights of one pass at the first vertices: shadow rays, and the time without finding the vertices."""
+        method = self._method("iws")
+        assert isinstance(method, WeakSingularities)
+        method.begin_pass(0)
+        pixels = self.pixels if pixels is None else pixels
+        common = (self.scene.traced, self.camera, method.work)
+        _see_and_gather(*common, pixels[:0], 0, method.lights, 0, method.bound)
+
+        def run(count: int) -> tuple[tuple[int, int], float]:
+            began = time.process_time()
+            result = _see_and_gather(*common, pixels, 0, method.lights, count, method.bound)
+            return result, time.process_time() - began
+
+        (_, _), seeing = run(0)
+        (_, shadows), both = run(method.light_count)
+        return shadows, both - seeing
+
+    def photons(self) -> tuple[int, float]:
+        """Shooting the photons of the forecast: rays."""
+        shoot_photons(self.scene.traced, ray_buffer(), 1, 1)
+        began = time.process_time()
+        _, _, rays = shoot_photons(self.scene.traced, ray_buffer(), 1, self.config.forecast.photons)
+        return rays, time.process_time() - began
+
+    def raw_single(self, queries: np.ndarray) -> tuple[int, float]:
+        """Embree alone on recorded single rays (n, 24)."""
+        rays = _aligned(len(queries), 32)
+        rays[:, :24] = queries
+        _replay_single(self.scene.embree.handle, _aligned(0, 32), 0)
+        return len(queries), _timed(lambda: _replay_single(self.scene.embree.handle, rays, 0))[1]
+
+    def raw_packets(self, packets: np.ndarray) -> tuple[int, float]:
+        """Embree alone on recorded 16-wide shadow packets (n, 192): rays in use."""
+        copy = _aligned(len(packets), packets.shape[1])
+        copy[:] = packets
+        valid = _aligned(1, LANES)[0].view(np.int32)
+        valid[:] = -1
+        _replay_packets(self.scene.embree.handle, valid, copy[:0])
+        in_use = int((packets.reshape(-1, 12, LANES)[:, TFAR] >= 0).sum())
+        return in_use, _timed(lambda: _replay_packets(self.scene.embree.handle, valid, copy))[1]
+
+
+def _timed(run: Any) -> tuple[int, float]:
+    began = time.process_time()
+    result = run()
+    return result, time.process_time() - began

@@ -1,0 +1,114 @@
+"""What rank 0 makes of the sums of all ranks: the picture, the report, and the files in the output directory."""
+
+import resource
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from causticmpi.config.records import RenderConfig
+from causticmpi.distributed.clock import Stopwatch
+from causticmpi.distributed.prepare import Forecasting
+from causticmpi.output.directory import UNFINISHED, Claim, write_run, write_whole
+from causticmpi.output.picture import Picture, estimated_relmse
+from causticmpi.output.report import attributes_from_report, build_report
+from causticmpi.render.film import resolve
+from causticmpi.render.methods import BIASED
+
+
+@dataclass(frozen=True)
+class Merged:
+    """Sums over passes and ranks (see render.film). rays: of the merged passes; memory: peak of each rank [MB]."""
+
+    sums: np.ndarray
+    passes: int
+    rays: int
+    nonfinite: int
+    memory: Sequence[float]
+
+
+class Result:
+    """The files of one run. error: estimated relMSE of the last picture, None as long as it is unknown."""
+
+    def __init__(self, config: RenderConfig, claim: Claim, provenance: Mapping[str, Any], features: np.ndarray) -> None:
+        """features: first hits, (slots, 7) float32: albedo, normal, depth."""
+        self.config, self.claim, self.provenance, self.features = config, claim, provenance, features
+        self.error: float | None = None
+
+    @property
+    def directory(self) -> Path:
+        """Where the files are."""
+        return self.claim.directory
+
+    def write(self, merged: Merged, forecasting: Forecasting, watch: Stopwatch) -> float:
+        """Write picture and report over those of this run, or of the run that --force gives up; returns the seconds."""
+        picture = self._picture(merged)
+        if merged.passes > 1:
+            self.error = estimated_relmse(picture.rgb, picture.variance)
+        report = self._report(picture, merged, forecasting, watch)
+        text = msgspec.json.encode(self.config).decode()
+        seconds = write_run(self.directory, picture, report, attributes_from_report(report, text))
+        self.claim.discard_stale()
+        return seconds
+
+    def mark_unfinished(self, signal: int, passes: int) -> None:
+        """Leave the file that tells a batch script to start the run again."""
+        text = f"stopped by signal {signal} after {passes} passes\n"
+        write_whole(self.directory / UNFINISHED, lambda path: path.write_text(text))
+
+    def _report(self, picture: Picture, merged: Merged, forecasting: Forecasting, watch: Stopwatch) -> dict[str, Any]:
+        tracing = watch.stages.get("tracing", 0.0)
+        report = build_report(
+            picture,
+            method=self.config.method,
+            biased=self.config.method in BIASED,
+            ranks=len(merged.memory),
+            passes=merged.passes,
+            spp=merged.passes,
+            seed=self.config.seed,
+            nonfinite_samples=merged.nonfinite,
+            seconds=dict(watch.stages, total=watch.elapsed()),
+            rays=merged.rays + forecasting.rays,
+            rays_per_second=merged.rays / max(tracing, 1e-9),
+            memory_mb=float(sum(merged.memory)),
+            provenance=self.provenance,
+            warnings=forecasting.warnings,
+        )
+        report["forecast"] = {
+            "photons": forecasting.photons,
+            "particles": forecasting.emitted,
+            "search_radius": forecasting.maps.radius if forecasting.photons else None,
+        }
+        report["memory_mb_per_rank"] = [round(m, 1) for m in merged.memory]
+        return report
+
+    def _picture(self, merged: Merged) -> Picture:
+        film = self.config.film
+        x0, y0, x1, y1 = film.crop or (0, 0, film.width, film.height)
+        shape = (y1 - y0, x1 - x0)
+        diffusive, caustic, variance = (a.reshape(*shape, 3) for a in resolve(merged.sums, merged.passes))
+        features = self.features.reshape(*shape, 7)
+        return Picture(
+            rgb=diffusive + caustic,
+            diffusive=diffusive,
+            caustic=caustic,
+            variance=variance,
+            albedo=features[..., :3],
+            normal=features[..., 3:6],
+            depth=features[..., 6],
+            film_size=(film.width, film.height),
+            crop=film.crop,
+        )
+
+
+def peak_memory_mb() -> float:
+    """Peak resident memory of this process [MB]; what ranks share is counted by each."""
+    try:
+        # Not ru_maxrss, which a process takes over from the one that started it, however large that was.
+        lines = Path("/proc/self/status").read_text().splitlines()
+        return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM:"))
+    except (OSError, ValueError, IndexError, StopIteration):
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024

@@ -1,0 +1,184 @@
+"""Furnaces: in a closed room of albedo rho whose walls all emit Le, the radiance is Le / (1 - rho) in every direction.
+
+It stays so with lossless mirrors and glass inside, and, if the walls below emit n^2 Le, above water. Every way of splitting
+L into L_d and L_c must give it, for any bound b, any forecast however wrong and any number of virtual lights.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from causticmpi.config.records import RenderConfig
+from causticmpi.distributed.clock import Stopwatch
+from causticmpi.distributed.prepare import prepare_forecast
+from causticmpi.distributed.world import SerialWorld
+from causticmpi.preprocess.forecast import ForecastMaps
+from causticmpi.scene.data import SceneData
+from tests.rendering import make_config, prepare, render_passes, scene_from, total
+from tests.z_test import assert_equal_means, block_means, compare_with_truth, relative_error
+
+pytestmark = pytest.mark.statistical
+LARGEST_Z = 4.0
+"""Of 64 pixels: a correct renderer exceeds it in 0.5 % of runs with other seeds."""
+LARGEST_ERROR = 0.002
+"""Relative standard error of the picture's mean: what a test must resolve."""
+
+SPHERES = """
+  - {type: sphere, center: [-0.5, -0.55, -0.3], radius: 0.4, material: mirror}
+  - {type: sphere, center: [0.45, -0.5, 0.1], radius: 0.45, material: glass}
+"""
+
+
+def walls(low: float, high: float, emission: float) -> str:
+    """Four walls from height `low` to `high`, 2 x 2 wide, normals inwards."""
+    corners = [
+        [[-1, low, -1], [1, low, -1], [1, high, -1], [-1, high, -1]],
+        [[1, low, 1], [-1, low, 1], [-1, high, 1], [1, high, 1]],
+        [[-1, low, 1], [-1, low, -1], [-1, high, -1], [-1, high, 1]],
+        [[1, low, -1], [1, low, 1], [1, high, 1], [1, high, -1]],
+    ]
+    return "".join(f"  - {{type: quad, corners: {c}, material: wall, emission: {emission}}}\n" for c in corners)
+
+
+def room(rho: float, below: float = 1.0, inside: str = SPHERES, wall: str | None = None) -> str:
+    """A closed box 2 units wide; what lies below y = 0 emits `below`."""
+    floor = [[-1, -1, 1], [1, -1, 1], [1, -1, -1], [-1, -1, -1]]
+    ceiling = [[-1, 1, -1], [1, 1, -1], [1, 1, 1], [-1, 1, 1]]
+    return f"""
+camera: {{eye: [-0.2, 0.6, 0.93], target: [0, -0.35, -0.2], up: [0, 1, 0], fov: 75}}
+materials:
+  wall: {wall or f"{{type: diffuse, reflectance: {rho}}}"}
+  mirror: {{type: mirror, reflectance: 1}}
+  glass: {{type: dielectric, ior: 1.5}}
+  water: {{type: dielectric, ior: 1.33}}
+shapes:
+  - {{type: quad, corners: {floor}, material: wall, emission: {below}}}
+  - {{type: quad, corners: {ceiling}, material: wall, emission: 1}}
+{walls(-1, 0, below)}{walls(0, 1, 1.0)}{inside}"""
+
+
+# The sheet ends inside the walls: no gap to slip through, and nothing of it sticks out of the room's inside.
+WATER = "\n  - {type: quad, corners: [[-1.01, 0, 1.01], [1.01, 0, 1.01], [1.01, 0, -1.01], [-1.01, 0, -1.01]], material: water}\n"
+UNDER_WATER = WATER + "  - {type: sphere, center: [0.3, -0.5, -0.2], radius: 0.4, material: mirror}\n"
+
+
+def settings(method: str, iws: dict | None = None, forecast: dict | None = None, side: int = 8) -> RenderConfig:
+    return make_config(
+        method=method,
+        film={"width": side, "height": side},
+        iws={"paths": 16, **(iws or {})},
+        forecast={"photons": 3000, "clusters": 16, "splitting": 2, "table": [16, 8], **(forecast or {})},
+    )
+
+
+def check(scene: SceneData, config: RenderConfig, truth: float, passes: int, maps: ForecastMaps | None = None) -> None:
+    """Every pixel within LARGEST_Z of the truth, the picture resolved to LARGEST_ERROR, no channel unlike another."""
+    films = render_passes(scene, config, passes, maps=maps)
+    picture = total(films)
+    assert np.array_equal(picture[..., 0], picture[..., 1]) and np.array_equal(picture[..., 0], picture[..., 2])
+    picture = picture[..., 0]
+    error = relative_error(picture)
+    verdict = compare_with_truth(picture.reshape(passes, -1), truth)
+    overall = compare_with_truth(picture.mean(axis=(1, 2))[:, None], truth)
+    print(f"\n{config.method}: pixels {verdict}; picture z {overall.z:.2f}; relative error {error:.2e}")
+    assert error <= LARGEST_ERROR
+    assert verdict.z < LARGEST_Z, verdict
+    assert overall.z < LARGEST_Z, f"picture's mean {picture.mean():.5f} instead of {truth:.5f}"
+
+
+def poisoned(scene: SceneData, config: RenderConfig, how: str) -> ForecastMaps:
+    """Forecast maps that tell lies."""
+    prepared = prepare(scene)
+    maps = prepare_forecast(SerialWorld(), config, prepared, Stopwatch()).maps
+    prepared.embree.close()
+    random = np.random.default_rng(7)
+    count = len(maps.x)
+    assert count > 1000
+    arrays = {name: array.copy() for name, array in maps._asdict().items() if isinstance(array, np.ndarray)}
+    if how == "random directions":
+        wrong = random.normal(size=(count, 3))
+        arrays["direction"][:] = wrong / np.linalg.norm(wrong, axis=1)[:, None]
+    elif how == "one direction":
+        arrays["direction"][:] = 0.48, 0.6, 0.64
+    elif how == "below the surface":
+        arrays["direction"] *= -1
+    elif how == "moved":
+        for axis in "xyz":
+            random.shuffle(arrays[axis])
+    elif how == "random powers":
+        arrays["power"][:] = np.exp(random.normal(0, 4, count))
+    else:
+        arrays["power"][:] = 0
+    for name, array in arrays.items():  # else the kernels would be compiled for another type
+        array.setflags(write=getattr(maps, name).flags.writeable)
+    return maps._replace(**arrays)
+
+
+@pytest.fixture(scope="module")
+def half_white(tmp_path_factory: pytest.TempPathFactory) -> SceneData:
+    return scene_from(room(0.5), tmp_path_factory.mktemp("room"))
+
+
+@pytest.mark.parametrize("rho", [0.5, 0.8])
+@pytest.mark.parametrize(("method", "passes"), [("pt", 4000), ("pt-brute", 4000), ("iws+cf", 2000)])
+def test_room_with_mirror_and_glass(tmp_path: Path, method: str, passes: int, rho: float) -> None:
+    check(scene_from(room(rho), tmp_path), settings(method), 1 / (1 - rho), passes)
+
+
+@pytest.mark.parametrize(("method", "passes"), [("pt", 4000), ("pt-brute", 4000), ("iws+cf", 2000)])
+def test_room_half_under_water(tmp_path: Path, method: str, passes: int) -> None:
+    scene = scene_from(room(0.5, below=1.33**2, inside=UNDER_WATER), tmp_path)
+    check(scene, settings(method), 2.0, passes)
+
+
+@pytest.mark.parametrize("photons", [0, 1, 10])
+def test_starved_forecast(half_white: SceneData, photons: int) -> None:
+    check(half_white, settings("iws+cf", forecast={"photons": photons}), 2.0, 3000)
+
+
+LIES = ["random directions", "one direction", "below the surface", "moved", "random powers", "no power"]
+
+
+@pytest.mark.parametrize("how", LIES)
+def test_poisoned_forecast(half_white: SceneData, how: str) -> None:
+    config = settings("iws+cf")
+    check(half_white, config, 2.0, 3000, poisoned(half_white, config, how))
+
+
+@pytest.mark.parametrize("bound", [0.01, 1.0, 100.0, 1e4])
+def test_any_bound(half_white: SceneData, bound: float) -> None:
+    check(half_white, settings("iws+cf", iws={"bound": bound}), 2.0, 3000)
+
+
+@pytest.mark.parametrize(
+    ("iws", "forecast"),
+    [
+        ({"deep_lights": 1}, {}),
+        ({"deep_lights": 1000}, {}),
+        ({"paths": 1}, {}),
+        ({"paths": 64}, {}),
+        ({}, {"splitting": 1}),
+        ({}, {"splitting": 8}),
+        ({}, {"table": [8, 4]}),
+        ({}, {"table": [1, 1]}),
+        ({}, {"table": [32, 16], "max_rank": 0}),
+    ],
+    ids=str,
+)
+def test_any_setting(half_white: SceneData, iws: dict, forecast: dict) -> None:
+    check(half_white, settings("iws+cf", iws, forecast), 2.0, 3000)
+
+
+GLOSS = "{type: phong, diffuse: 0.3, specular: 0.4, exponent: 20}"
+
+
+def test_room_of_gloss(tmp_path: Path) -> None:
+    """No closed form, since the lobe loses what falls below the horizon: against brute force."""
+    scene = scene_from(room(0, wall=GLOSS), tmp_path)
+    truth = block_means(total(render_passes(scene, settings("pt-brute"), 4000))[..., :1], 1)
+    assert relative_error(truth) <= LARGEST_ERROR
+    for method in ("pt", "iws+cf"):
+        found = block_means(total(render_passes(scene, settings(method), 3000))[..., :1], 1)
+        verdict = assert_equal_means(found, truth, method)
+        print(f"\n{method}: {verdict}; relative error {relative_error(found):.2e}")
