@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mpi_tools import require_mpi
+from mpi_tools import require_mpi, run_mpi
 from program_tools import (
     assert_same_layers,
     compile_kernels,
@@ -15,9 +15,9 @@ from program_tools import (
     render_mpi,
     render_program,
     rgb,
-    run_program,
-    words,
 )
+
+from causticmpi.distributed import clock
 
 COUNTS = ("method", "biased", "passes", "spp", "width", "height", "seed", "nonfinite_samples", "estimated_relmse")
 
@@ -130,44 +130,52 @@ def test_the_first_round_is_always_finished(tmp_path: Path) -> None:
     assert_same_layers(layers, one_pass)
 
 
-@pytest.mark.mpi
-def test_the_clock_starts_with_the_launcher(tmp_path: Path) -> None:
-    """mpirun sits for two seconds on a shell that becomes the rank: they are part of what the user waits for."""
-    done = run_program(
-        "-c",
-        "import os, sys, time, causticmpi.distributed.clock as clock; print(clock.seconds_since_start())",
-        start=(),
-    )
-    assert 0 < float(done.stdout) < 2, done.stderr
-    from mpi_tools import run_mpi
+Processes = dict[int | str, tuple[str, int, float]]
+SHELL: Processes = {5: ("bash", 1, 50.0), 1: ("init", 0, 0.0)}
+UNDER_MPIRUN: Processes = {
+    "self": ("python", 7, 104.0),
+    7: ("hydra_pmi_proxy", 6, 103.0),
+    6: ("mpiexec.hydra", 5, 102.0),
+}
+BEHIND_A_SCRIPT: Processes = {"self": ("python", 7, 104.0), 7: ("bash", 6, 60.0), 6: ("mpirun", 5, 59.0)}
+PLAIN: Processes = {"self": ("python", 5, 104.0)}
 
-    program = tmp_path / "late.py"
-    program.write_text(
-        "import os, sys, time\n"
-        "if len(sys.argv) == 1:\n"
-        "    time.sleep(2)\n"
-        "    pid = os.posix_spawn(sys.executable, [sys.executable, *sys.argv, 'again'], os.environ)\n"
-        "    sys.exit(os.waitpid(pid, 0)[1])\n"
-        "from causticmpi.distributed.clock import seconds_since_start\n"
-        "print('age', seconds_since_start())\n"
+
+@pytest.mark.parametrize(
+    ("processes", "started"), [(UNDER_MPIRUN, 102.0), (BEHIND_A_SCRIPT, 104.0), (PLAIN, 104.0)], ids=str
+)
+def test_the_clock_starts_with_the_launcher(
+    processes: Processes, started: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(clock, "_process", (SHELL | processes).__getitem__)
+    monkeypatch.setattr(time, "clock_gettime", lambda which: 110.0)
+    assert clock.seconds_since_start() == 110.0 - started
+
+
+@pytest.mark.mpi
+def test_this_launcher_is_known_to_the_clock() -> None:
+    program = (
+        "import os; from causticmpi.distributed import clock; name, _, started = clock._process(os.getppid()); "
+        "print(name.startswith(clock.LAUNCHERS), name, started <= clock._process('self')[2])"
     )
-    behind_a_script = run_mpi(1, [program])
-    assert 0 < float(behind_a_script.stdout.split()[1]) < 1.9, behind_a_script.stderr
-    program.write_text(program.read_text().replace("    pid = os.posix", "    os.execv").split("_spawn")[0] + "")
-    program.write_text(
-        "import os, subprocess, sys, time\n"
-        "from pathlib import Path\n"
-        "from causticmpi.distributed.clock import _process, seconds_since_start\n"
-        "launchers, pid = [], os.getppid()\n"
-        "while pid > 1:\n"
-        "    name, parent, start = _process(pid)\n"
-        "    launchers.append((name, start)); pid = parent\n"
-        "own = _process('self')[2]\n"
-        "print('age', seconds_since_start(), time.clock_gettime(time.CLOCK_BOOTTIME) - own, launchers[:2])\n"
-    )
+    done = run_mpi(1, ["-c", program])
+    assert done.stdout.split()[::2] == ["True", "True"], done.stdout + done.stderr
 
 
 @pytest.mark.mpi
 def test_without_a_specular_surface_nothing_is_forecast(tmp_path: Path) -> None:
-    scene = (words(tmp_path)[1], "scene")
-    assert scene
+    (tmp_path / "scene.yaml").write_text(
+        "camera: {eye: [0, 0, 4], target: [0, 0, 0]}\n"
+        "materials: {white: {type: diffuse, reflectance: 0.5}}\n"
+        "shapes:\n"
+        "  - {type: quad, corners: [[-1, -1, 1], [1, -1, 1], [1, -1, -1], [-1, -1, -1]], material: white}\n"
+        "  - {type: sphere, center: [0, 1, 0], radius: 0.2, material: white, emission: 3}\n"
+    )
+    config = tmp_path / "config.yaml"
+    config.write_text("scene: scene.yaml\n")
+    render_mpi(2, tmp_path / "out", "--spp", "2", config=config)
+    report = read_report(tmp_path / "out")
+    assert [report["seconds"][stage] for stage in ("photons", "clustering", "trees")] == [0, 0, 0]
+    assert report["forecast"] == {"photons": 0, "particles": 0, "search_radius": None} and report["warnings"] == []
+    layers, _ = read_layers(tmp_path / "out")
+    assert not rgb(layers, "caustic.").any() and rgb(layers).max() > 0.1

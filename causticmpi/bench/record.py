@@ -1,7 +1,8 @@
 """Record the rays that kernels really send to Embree, in order.
 
-Run as a process of its own, before any kernel is loaded: `python -m causticmpi.bench.record CONFIG OUT.npz`. LLVM is told
-that the entry points of Embree live at our recorders, which note each query and pass it on; so kernels need no hooks.
+Run as a process of its own, before any kernel is loaded: `python -m causticmpi.bench.record CONFIG OUT.npz`. LLVM is
+told that the entry points of Embree live at our recorders, which note each query and pass it on; so kernels need no
+hooks.
 """
 
 import ctypes
@@ -14,7 +15,7 @@ from llvmlite import binding as llvm
 from numba import types
 
 from causticmpi.kernels import embree
-from causticmpi.kernels.embree import LIBRARY, LANES
+from causticmpi.kernels.embree import LANES, LIBRARY
 
 SINGLE_WORDS, PACKET_WORDS = 24, 12 * LANES
 """float32 words kept per query: an RTCRayHit (the last word tells occlusion queries), an RTCRay16."""

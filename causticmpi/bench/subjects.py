@@ -4,6 +4,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from causticmpi.config.load import load_config, scene_path
@@ -11,7 +12,17 @@ from causticmpi.distributed.clock import Stopwatch
 from causticmpi.distributed.prepare import prepare_forecast, share_scene
 from causticmpi.distributed.world import SerialWorld
 from causticmpi.estimators import iws_cf
-from causticmpi.kernels.embree import LANES, MISS, PRIM, GEOM, TFAR, ray_buffer, rtc_intersect1, rtc_occluded1, rtc_occluded16
+from causticmpi.kernels.embree import (
+    GEOM,
+    LANES,
+    MISS,
+    PRIM,
+    TFAR,
+    ray_buffer,
+    rtc_intersect1,
+    rtc_occluded1,
+    rtc_occluded16,
+)
 from causticmpi.kernels.jit import kernel
 from causticmpi.kernels.pixels import pixel_order
 from causticmpi.preprocess.photons import shoot_photons
@@ -73,14 +84,15 @@ class Subject:
         self.camera = camera_array(self.scene.data.camera, width, height)
         self.pixels = pixel_order((0, 0, width, height), width)
         self.film = np.zeros((width * height, 6), np.float32)
-        self.pass_index = 0
+        self.path_rates: list[float] = []  # million paths per CPU second, of each `path_tracing`
+        self._methods: dict[str, Any] = {}
 
     def _method(self, name: str) -> Any:
-        import msgspec
-
-        config = msgspec.structs.replace(self.config, method=name)
-        maps = prepare_forecast(SerialWorld(), config, self.scene, Stopwatch()).maps
-        return make_method(config, self.scene.traced, self.camera, maps, self.scene.extent)
+        if name not in self._methods:
+            config = msgspec.structs.replace(self.config, method=name)
+            maps = prepare_forecast(SerialWorld(), config, self.scene, Stopwatch()).maps
+            self._methods[name] = make_method(config, self.scene.traced, self.camera, maps, self.scene.extent)
+        return self._methods[name]
 
     def path_tracing(self) -> tuple[int, float]:
         """One pass of `pt`."""
@@ -88,7 +100,9 @@ class Subject:
         assert isinstance(method, PathTracing)
         method.begin_pass(0)
         method.trace(self.pixels[:0], self.film)
-        return _timed(lambda: method.trace(self.pixels, self.film))
+        rays, seconds = _timed(lambda: method.trace(self.pixels, self.film))
+        self.path_rates.append(len(self.film) / seconds / 1e6)
+        return rays, seconds
 
     def gather(self, pixels: np.ndarray | None = None) -> tuple[int, float]:
         """Virtual lights of one pass at the first vertices: shadow rays, and the time without finding the vertices."""
@@ -114,6 +128,12 @@ class Subject:
         began = time.process_time()
         _, _, rays = shoot_photons(self.scene.traced, ray_buffer(), 1, self.config.forecast.photons)
         return rays, time.process_time() - began
+
+    def preprocess(self) -> dict[str, float]:
+        """CPU-bound wall seconds of the whole preprocess by stage."""
+        watch = Stopwatch()
+        prepare_forecast(SerialWorld(), self.config, self.scene, watch)
+        return watch.stages
 
     def raw_single(self, queries: np.ndarray) -> tuple[int, float]:
         """Embree alone on recorded single rays (n, 24)."""

@@ -38,7 +38,15 @@ def build_parser() -> argparse.ArgumentParser:
     render.add_argument("--force", action="store_true", help="replace the run that DIR holds")
     check = verbs.add_parser("check", help="validate config and scene, estimate memory; renders nothing")
     _common(check)
+    bench = verbs.add_parser("bench", help="this machine: raw Embree rate beside each kernel's rate, on one core")
+    bench.add_argument(
+        "configs", metavar="CONFIG", nargs="*", default=[f"configs/{name}.yaml" for name in BENCH_SCENES]
+    )
+    bench.add_argument("--out", metavar="DIR", help="also write bench.json and bench.md there")
     return parser
+
+
+BENCH_SCENES = ("cornell", "ring", "pool")
 
 
 def _common(verb: argparse.ArgumentParser) -> None:
@@ -66,6 +74,10 @@ def _run(argv: list[str]) -> int:
             from causticmpi.cli.check import check
 
             return check(arguments)
+        if arguments.verb == "bench":
+            from causticmpi.bench.run import bench
+
+            return bench(arguments.configs, arguments.out)
         from causticmpi.cli.render import render
 
         return render(arguments, argv)

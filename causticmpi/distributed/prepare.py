@@ -40,7 +40,8 @@ def share_scene(world: World, scene: SceneData | None) -> PreparedScene:
         small = {f.name: getattr(scene, f.name) for f in fields(scene) if f.name not in SceneData.ARRAYS}
     shared = world.share(arrays)
     small = world.broadcast(small)
-    data = SceneData(**{name: shared[name] for name in SceneData.ARRAYS}, **small)
+    fields_of_data: dict[str, Any] = {name: shared[name] for name in SceneData.ARRAYS}
+    data = SceneData(**fields_of_data, **small)
     derived = {name.removeprefix("derived."): array for name, array in shared.items() if name.startswith("derived.")}
     embree = EmbreeScene(data.vertices, data.triangles, data.spheres, padded=world.size > 1)
     return PreparedScene(data, embree, traced_scene(data, embree, derived), _extent(data), float(data.emission.max()))

@@ -1,9 +1,10 @@
 """Caustic Forecasting (CF): photons near a point steer the directions of its caustic samples [CF sec. 3.2].
 
-The hemisphere above p, in the frame of its normal, is cut into columns x rows bins of equal solid angle (azimuth, cosine).
-Table 1 holds the bins that gathered photons fall into, weighted by photon power, BRDF and cosine. Table 2 holds all other
-bins, weighted by a representative cosine and BRDF with a floor, so that no direction is out of reach. The domains are
-disjoint: each table is sampled on its own and the estimates are added.
+The hemisphere above p, in the frame of its normal, is cut into columns x rows bins of equal solid angle (azimuth,
+cosine).
+Table 1 holds the bins that gathered photons fall into, weighted by photon power, BRDF and cosine. Table 2 holds all
+other bins, weighted by a representative cosine and BRDF with a floor, so that no direction is out of reach. The
+domains are disjoint: each table is sampled on its own and the estimates are added.
 """
 
 import math
@@ -56,16 +57,15 @@ def forecast_work(maps: ForecastMaps) -> ForecastWork:
 
 
 FLOOR = np.float32(0.05)
-"""Table 2 counts at least this share of the albedo as if it were Lambertian: the edge of a lobe inside a bin whose centre
-is dark stays within reach."""
+"""Table 2 counts at least this share of the albedo as if it were Lambertian: the edge of a lobe inside a bin whose
+centre is dark stays within reach."""
 
 
 @inline
 def bin_of(maps, local):
     """Bin of a unit direction in the frame of the normal, above the horizon."""
     phi = math.atan2(local[1], local[0])
-    if phi < ZERO:
-        phi += TWO_PI
+    phi = phi + TWO_PI if phi < ZERO else phi
     column = min(maps.columns - 1, np.int64(phi * (np.float32(maps.columns) / TWO_PI)))
     row = min(maps.rows - 1, np.int64(local[2] * np.float32(maps.rows)))
     return row * maps.columns + column

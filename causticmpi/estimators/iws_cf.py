@@ -3,10 +3,11 @@
 At every non-specular vertex p of an eye path:
   A  L_d: the virtual lights, all of them at the first vertex, an unbiased few at deeper ones;
   B  L_d: one BRDF ray, the compensation; what it hits on D counts with 1 - w and carries its full radiance;
-  C  L_c: 2 S directions from the forecast tables; what they hit on S leads to a D vertex that carries its full radiance.
+  C  L_c: 2 S directions from the forecast tables; what they hit on S leads to a D vertex that carries its full
+  radiance.
 Outside the ranked clusters one BRDF ray serves B and C: a hit on D is B's, a hit on S is C's.
-A vertex that carries its full radiance is put on a stack and treated alike, one diffuse depth deeper, so there is no depth
-cut-off; roulette ends the paths.
+A vertex that carries its full radiance is put on a stack and treated alike, one diffuse depth deeper, so there is no
+depth cut-off; roulette ends the paths.
 """
 
 import math
@@ -16,10 +17,10 @@ import numpy as np
 
 from causticmpi.estimators import caustic_forecast as cf
 from causticmpi.estimators import weak_singularities as ws
-from causticmpi.estimators.eye_path import emitted, facing, follow_chain
 from causticmpi.kernels import bsdf, rng, vec
 from causticmpi.kernels.camera import primary_ray
 from causticmpi.kernels.embree import intersect
+from causticmpi.kernels.eye_path import emitted, facing, follow_chain
 from causticmpi.kernels.jit import inline, kernel
 from causticmpi.kernels.pixels import add_sample
 from causticmpi.kernels.traced_scene import is_specular

@@ -8,10 +8,10 @@ import math
 
 import numpy as np
 
-from causticmpi.estimators.eye_path import emitted, facing, scatter_along_eye_path
 from causticmpi.kernels import bsdf, rng, vec
 from causticmpi.kernels.camera import primary_ray
 from causticmpi.kernels.embree import intersect, visible
+from causticmpi.kernels.eye_path import emitted, facing, scatter_along_eye_path
 from causticmpi.kernels.jit import inline, kernel
 from causticmpi.kernels.pixels import add_sample
 from causticmpi.kernels.traced_scene import hit_point, is_specular, light_point, pick_light
@@ -57,7 +57,8 @@ def direct_light(scene, rays, p, n, offset, material, wo, key):
 
 @kernel
 def trace_paths(scene, camera, rays, pixels, seed, pass_index, film):
-    """One path a pixel with next-event estimation and roulette; adds to `film` (see kernels.pixels). Returns rays traced."""
+    """One path a pixel with next-event estimation and roulette; adds to `film` (see kernels.pixels). Returns rays
+    traced."""
     traced = 0
     for i in range(pixels.shape[0]):
         if pixels[i, 0] < 0:

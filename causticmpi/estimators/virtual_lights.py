@@ -9,9 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from causticmpi.estimators import particles
-from causticmpi.estimators.eye_path import facing
-from causticmpi.kernels import bsdf, rng, vec
+from causticmpi.kernels import bsdf, particles, rng, vec
+from causticmpi.kernels.eye_path import facing
 from causticmpi.kernels.jit import inline, kernel
 from causticmpi.kernels.vec import INV_PI, ONE, ZERO
 

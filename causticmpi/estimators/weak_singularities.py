@@ -6,7 +6,8 @@ The geometry term is bounded, and what the bound takes away is given back by a c
     sum over VPLs: f_p G w f_q Phi      compensation: (1 - w) of the radiance of the vertex that a BRDF ray hits
 
 The paper bounds G alone (s = 1), which leaves a sharp BRDF free to spike; bounding pi f G as well removes the spikes of
-gloss. It stays unbiased for any s that both techniques compute alike: s depends on p, q and the eye direction at p only.
+gloss. It stays unbiased for any s that both techniques compute alike: s depends on p, q and the eye direction at p
+only.
 """
 
 import numpy as np
@@ -123,8 +124,8 @@ def connection(scene, lights, j, p, n, offset, wo, material, bound):
 def gather_tile(scene, packet, lights, count, materials, glossy, bound):
     """Sum all virtual lights at the 16 points of a tile. Returns shadow rays traced.
 
-    SUM then holds, times reflectance / pi, the radiance of a Lambertian lane; of a tile with gloss (`glossy`) the radiance
-    itself, in which case `materials` (16,) int64 and OUT (directions to the eye) are read.
+    SUM then holds, times reflectance / pi, the radiance of a Lambertian lane; of a tile with gloss (`glossy`) the
+    radiance itself, in which case `materials` (16,) int64 and OUT (directions to the eye) are read.
     """
     for i in range(3 * LANES):
         packet[SUM + i] = ZERO
@@ -168,7 +169,8 @@ def _gather_light_of_any_kind(scene, packet, lights, j, materials, glossy, bound
 
 @inline
 def gather_few(scene, packet, lights, count, few, p, n, offset, wo, material, bound, u):
-    """Unbiased estimate of the sum over all virtual lights from `few` of them, taken at equal steps from a random start.
+    """Unbiased estimate of the sum over all virtual lights from `few` of them, taken at equal steps from a random
+    start.
 
     p: already moved off its surface; u: uniform. Returns (RGB radiance, shadow rays traced).
     """

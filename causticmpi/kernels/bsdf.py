@@ -1,4 +1,5 @@
-"""Materials: the non-specular ones (Lambert, Phong) with value, sampler and pdf; the specular ones as a scattering step.
+"""Materials: the non-specular ones (Lambert, Phong) with value, sampler and pdf; the specular ones as a scattering
+step.
 
 All directions point away from the surface; normals are turned to the side of the eye before they come here.
 Phong-like gloss, energy conserving for reflectance + specular <= 1 [Lafortune, Willems 1994]:
@@ -102,7 +103,8 @@ def fresnel(cosine, eta):
 
 @inline
 def scatter_specular(scene, material, n, direction, u):
-    """One specular event: new direction, reflectance or transmittance / probability (RGB), eta and whether it refracted.
+    """One specular event: new direction, reflectance or transmittance / probability (RGB), eta and whether it
+    refracted.
 
     n: front normal (out of the denser side); direction: of the arriving ray; u: uniform.
     eta = n_incident/n_transmitted seen along the ray. Radiance carried back along an eye path that refracts scales with

@@ -11,6 +11,7 @@ import os
 from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from llvmlite import binding as llvm
@@ -70,10 +71,14 @@ _MEMORY_MONITOR = ctypes.CFUNCTYPE(ctypes.c_bool, ctypes.c_void_p, ctypes.c_ssiz
 LIBRARY.rtcSetDeviceMemoryMonitorFunction.argtypes = [ctypes.c_void_p, _MEMORY_MONITOR, ctypes.c_void_p]
 LIBRARY.rtcSetDeviceMemoryMonitorFunction.restype = None
 
-rtc_intersect1 = types.ExternalFunction("rtcIntersect1", types.void(types.intp, types.intp, types.intp))
-rtc_occluded1 = types.ExternalFunction("rtcOccluded1", types.void(types.intp, types.intp, types.intp))
-rtc_intersect16 = types.ExternalFunction("rtcIntersect16", types.void(types.intp, types.intp, types.intp, types.intp))
-rtc_occluded16 = types.ExternalFunction("rtcOccluded16", types.void(types.intp, types.intp, types.intp, types.intp))
+rtc_intersect1: Any = types.ExternalFunction("rtcIntersect1", types.void(types.intp, types.intp, types.intp))
+rtc_occluded1: Any = types.ExternalFunction("rtcOccluded1", types.void(types.intp, types.intp, types.intp))
+rtc_intersect16: Any = types.ExternalFunction(
+    "rtcIntersect16", types.void(types.intp, types.intp, types.intp, types.intp)
+)
+rtc_occluded16: Any = types.ExternalFunction(
+    "rtcOccluded16", types.void(types.intp, types.intp, types.intp, types.intp)
+)
 
 
 class _Device:
@@ -124,8 +129,8 @@ def device() -> _Device:
 class EmbreeScene:
     """An Embree scene over shared vertex, index and sphere buffers, which must outlive it.
 
-    vertices (V, 3) float32, triangles (T, 3) int32, spheres (S, 4) float32, all C-contiguous. Embree reads up to 16 bytes
-    past the last vertex: arrays are copied here if their owner did not pad them (`padded=False`).
+    vertices (V, 3) float32, triangles (T, 3) int32, spheres (S, 4) float32, all C-contiguous. Embree reads up to 16
+    bytes past the last vertex: arrays are copied here if their owner did not pad them (`padded=False`).
     handle: address for the kernels; bytes: memory Embree holds for its trees (private to the process).
     """
 

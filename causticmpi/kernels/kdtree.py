@@ -1,7 +1,7 @@
 """Nearest neighbours: balanced kd-trees in one array, without pointers.
 
-A tree over rows [low, high) has its root at the middle row; the rows before it lie on the lower side of its plane, those
-after it on the upper side, and both are trees again. Runs of at most LEAF rows are searched one by one.
+A tree over rows [low, high) has its root at the middle row; the rows before it lie on the lower side of its plane,
+those after it on the upper side, and both are trees again. Runs of at most LEAF rows are searched one by one.
 """
 
 import numpy as np

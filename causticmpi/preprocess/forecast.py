@@ -79,8 +79,9 @@ def energy_ranks(energy: np.ndarray, area: np.ndarray) -> np.ndarray:
 def _overlaps(codebook, feature, cluster, gap, wanted, counts, cursor, rows):
     """Members of every wanted cluster: its own points and those within epsilon of its border.
 
-    A point belongs to cluster j too if its distance to the bisector plane of j and its own cluster i is at most epsilon:
-    (d_j^2 - d_i^2) <= 2 epsilon |c_j - c_i| = gap[i, j]. With `cursor` given, rows are stored, else only counted.
+    A point belongs to cluster j too if its distance to the bisector plane of j and its own cluster i is at most
+    epsilon: (d_j^2 - d_i^2) <= 2 epsilon |c_j - c_i| = gap[i, j]. With `cursor` given, rows are stored, else only
+    counted.
     """
     for p in range(feature.shape[1]):
         own = cluster[p]
@@ -203,7 +204,8 @@ def _disc_areas(position: np.ndarray, cluster: np.ndarray, count: int, photons: 
 def _forecast_rows(
     codebook: np.ndarray, feature: np.ndarray, cluster: np.ndarray, gap: np.ndarray, wanted: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of the caustic points by cluster, overlaps included: (k,) int32, and the start of each cluster (m+1,) int64."""
+    """Rows of the caustic points by cluster, overlaps included: (k,) int32, and the start of each cluster (m+1,)
+    int64."""
     count = codebook.shape[1]
     counts = np.zeros(count, np.int64)
     nothing = np.empty(0, np.int32)

@@ -1,4 +1,5 @@
-"""Forecast photons: caustic points, stored wherever a particle met S and then D, at any depth of its path [CF sec. 3.2].
+"""Forecast photons: caustic points, stored wherever a particle met S and then D, at any depth of its path [CF sec.
+3.2].
 
 So L D S D (secondary caustics, the spot on the green wall) is forecast too. None is stored at specular vertices.
 """
@@ -7,9 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from causticmpi.estimators import particles
-from causticmpi.estimators.eye_path import facing
-from causticmpi.kernels import rng, vec
+from causticmpi.kernels import particles, rng, vec
+from causticmpi.kernels.eye_path import facing
 from causticmpi.kernels.jit import kernel
 from causticmpi.kernels.traced_scene import TracedScene
 from causticmpi.kernels.vec import ZERO

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from causticmpi.estimators.eye_path import facing
 from causticmpi.kernels import bsdf
 from causticmpi.kernels.camera import primary_ray
 from causticmpi.kernels.embree import intersect
+from causticmpi.kernels.eye_path import facing
 from causticmpi.kernels.jit import kernel
 from causticmpi.kernels.traced_scene import hit_point
 from causticmpi.kernels.vec import HALF, INFINITY

@@ -1,7 +1,7 @@
 """Films: sums over passes, never means, that come out bit for bit alike for any number of ranks and any order.
 
-Every pass value is rounded to a multiple of a fixed power of two, `quantum`, before it is added in float64. As long as a
-sum stays below 2^53 quanta, float64 adds such numbers without rounding, so the order of addition cannot show. The
+Every pass value is rounded to a multiple of a fixed power of two, `quantum`, before it is added in float64. As long as
+a sum stays below 2^53 quanta, float64 adds such numbers without rounding, so the order of addition cannot show. The
 quantum is 2^-40 of the brightest light, some 10^-12 of what is visible beside it.
 """
 
@@ -65,8 +65,8 @@ class Film:
         self.sums = np.zeros((self.slots, CHANNELS))
 
     def add_pass(self, pass_film: np.ndarray) -> None:
-        """Add what one pass put on `pass_film` (slots, 6) float32, and blank it. The caller counts passes: several ranks
-        may have shared one."""
+        """Add what one pass put on `pass_film` (slots, 6) float32, and blank it. The caller counts passes: several
+        ranks may have shared one."""
         self.nonfinite += _accumulate(pass_film, self.sums, self.quantum)
 
     def merge(self, other: "Film") -> None:

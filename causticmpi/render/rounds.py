@@ -28,7 +28,8 @@ class Share:
 
 
 def deal(first_pass: int, passes: int, tiles: int, size: int, rank: int) -> list[Share]:
-    """This rank's equal share of a round: whole passes where their number is a multiple of the ranks, else a run of tiles.
+    """This rank's equal share of a round: whole passes where their number is a multiple of the ranks, else a run of
+    tiles.
 
     tiles: number of 16-pixel tiles of a pass. The shares of all ranks cover each tile of each pass once.
     """

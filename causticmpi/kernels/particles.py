@@ -17,7 +17,8 @@ CHOICE, DIRECTION = 0, 1
 
 @inline
 def emit(scene, u, v, w):
-    """A point on the lights, in proportion to power: light, point, front normal, offset, and radiance / density [W/sr]."""
+    """A point on the lights, in proportion to power: light, point, front normal, offset, and radiance / density
+    [W/sr]."""
     light, u = pick_light(scene, u)
     p, n, offset = light_point(scene, light, w, v)
     return light, p, n, offset, vec.scale(vec.row(scene.light_radiance, light), ONE / scene.light_pdf[light])

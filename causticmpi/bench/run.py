@@ -1,0 +1,104 @@
+"""`causticmpi bench`: interleaved, repeated, medians; a table for people and JSON for machines."""
+
+import json
+import statistics
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from causticmpi.bench.subjects import Subject
+
+REPETITIONS = 5
+RATES = {
+    "raw_single": "Embree alone, the path tracer's own rays one by one",
+    "pt": "path tracing, all of it",
+    "raw_packets": "Embree alone, the shadow rays of virtual lights in packets of 16",
+    "gather": "virtual-light gather, all of it",
+    "photons": "shooting forecast photons, all of it",
+}
+"""What is timed, in million rays per CPU second."""
+RATIOS = {"pt / raw": ("pt", "raw_single"), "gather / raw": ("gather", "raw_packets")}
+
+
+def recorded_rays(config_file: str) -> tuple[np.ndarray, np.ndarray]:
+    """Queries of one pass, recorded in a process of its own: single (n, 24), packets (m, 192) float32."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "rays.npz"
+        subprocess.run([sys.executable, "-m", "causticmpi.bench.record", config_file, str(out)], check=True)
+        with np.load(out) as rays:
+            return rays["single"], rays["packets"]
+
+
+def measure(config_file: str, repetitions: int = REPETITIONS) -> dict[str, Any]:
+    """Rates and ratios of one scene; every figure a median with its least and greatest, ratios taken within a round."""
+    single, packets = recorded_rays(config_file)
+    subject = Subject(config_file)
+    rounds: dict[str, list[float]] = {name: [] for name in RATES}
+    preprocess: list[dict[str, float]] = []
+    for _ in range(repetitions):
+        for name, timed in (
+            ("raw_single", lambda: subject.raw_single(single)),
+            ("pt", subject.path_tracing),
+            ("raw_packets", lambda: subject.raw_packets(packets)),
+            ("gather", subject.gather),
+            ("photons", subject.photons),
+        ):
+            queries, seconds = timed()
+            rounds[name].append(queries / seconds / 1e6)
+        preprocess.append(subject.preprocess())
+    return {
+        "scene": subject.scene.data.name,
+        "triangles": len(subject.scene.data.triangles),
+        "million_rays_per_cpu_second": {name: _summary(values) for name, values in rounds.items()},
+        "ratios": {
+            name: _summary([a / b for a, b in zip(rounds[top], rounds[bottom], strict=True)])
+            for name, (top, bottom) in RATIOS.items()
+        },
+        "million_paths_per_cpu_second": _summary(subject.path_rates),
+        "preprocess_seconds": {
+            stage: _summary([p[stage] for p in preprocess]) for stage in ("photons", "clustering", "trees")
+        },
+    }
+
+
+def _summary(values: Sequence[float]) -> dict[str, float]:
+    return {"median": statistics.median(values), "least": min(values), "greatest": max(values)}
+
+
+def table(results: Sequence[dict[str, Any]]) -> str:
+    """Markdown table of the medians, least and greatest in brackets."""
+    lines = ["| | " + " | ".join(r["scene"] for r in results) + " |", "|---|" + "---|" * len(results)]
+
+    def row(label: str, cells: list[dict[str, float]], digits: int = 2) -> str:
+        texts = [f"{c['median']:.{digits}f} ({c['least']:.{digits}f} - {c['greatest']:.{digits}f})" for c in cells]
+        return f"| {label} | " + " | ".join(texts) + " |"
+
+    for name, label in RATES.items():
+        lines.append(row(f"{label} [Mrays/s]", [r["million_rays_per_cpu_second"][name] for r in results]))
+    lines.append(row("path tracing [Mpaths/s]", [r["million_paths_per_cpu_second"] for r in results]))
+    for name in RATIOS:
+        lines.append(row(name, [r["ratios"][name] for r in results]))
+    for stage in ("photons", "clustering", "trees"):
+        lines.append(row(f"preprocess: {stage} [s]", [r["preprocess_seconds"][stage] for r in results], 3))
+    return "\n".join(lines)
+
+
+def bench(config_files: Sequence[str], directory: str | None) -> int:
+    """Measure each config's scene on one core, print the table, and write bench.json and bench.md where asked to."""
+    results = []
+    for config_file in config_files:
+        print(f"causticmpi: measuring {config_file}", file=sys.stderr, flush=True)
+        results.append(measure(config_file))
+    text = table(results)
+    print(text)
+    if directory is not None:
+        folder = Path(directory)
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "bench.md").write_text(text + "\n")
+        (folder / "bench.json").write_text(json.dumps(results, indent=2) + "\n")
+    return 0
