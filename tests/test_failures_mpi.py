@@ -33,7 +33,8 @@ def troubled(what: str, rank: int, folder: Path, *more: str) -> list[str]:
 def assert_whole(out: Path) -> None:
     """The picture can be read, and is the one the report tells of; nothing half-written lies about."""
     layers, header = read_layers(out)
-    assert all(np.isfinite(channel).all() for channel in layers.values()) and layers["R"].max() > 0
+    depth = layers.pop("depth.Z")  # infinite where the eye sees nothing
+    assert all(np.isfinite(channel).all() for channel in layers.values()) and layers["R"].max() > 0 and depth.min() > 0
     assert header["passes"] == read_report(out)["passes"] >= 1
     assert sorted(set(os.listdir(out)) - {"unfinished"}) == ["image.exr", "image.png", "report.json"]
 

@@ -15,7 +15,7 @@ from causticmpi.bench.subjects import Subject
 
 REPETITIONS = 5
 RATES = {
-    "raw_single": "Embree alone, the path tracer's own rays one by one",
+    "raw_single": "Embree alone, the path tracer's own rays (eye packets, then one by one)",
     "pt": "path tracing, all of it",
     "raw_packets": "Embree alone, the shadow rays of virtual lights in packets of 16",
     "gather": "virtual-light gather, all of it",
@@ -25,24 +25,24 @@ RATES = {
 RATIOS = {"pt / raw": ("pt", "raw_single"), "gather / raw": ("gather", "raw_packets")}
 
 
-def recorded_rays(config_file: str) -> tuple[np.ndarray, np.ndarray]:
-    """Queries of one pass, recorded in a process of its own: single (n, 24), packets (m, 192) float32."""
+def recorded_rays(config_file: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Queries of one pass, recorded in a process of its own: single (n, 24), eye and shadow packets (m, 192)."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "rays.npz"
         subprocess.run([sys.executable, "-m", "causticmpi.bench.record", config_file, str(out)], check=True)
         with np.load(out) as rays:
-            return rays["single"], rays["packets"]
+            return rays["single"], rays["eye_packets"], rays["packets"]
 
 
 def measure(config_file: str, repetitions: int = REPETITIONS) -> dict[str, Any]:
     """Rates and ratios of one scene; every figure a median with its least and greatest, ratios taken within a round."""
-    single, packets = recorded_rays(config_file)
+    single, eye, packets = recorded_rays(config_file)
     subject = Subject(config_file)
     rounds: dict[str, list[float]] = {name: [] for name in RATES}
     preprocess: list[dict[str, float]] = []
     for _ in range(repetitions):
         for name, timed in (
-            ("raw_single", lambda: subject.raw_single(single)),
+            ("raw_single", lambda: subject.raw_single(single, eye)),
             ("pt", subject.path_tracing),
             ("raw_packets", lambda: subject.raw_packets(packets)),
             ("gather", subject.gather),

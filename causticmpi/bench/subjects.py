@@ -20,6 +20,7 @@ from causticmpi.kernels.embree import (
     TFAR,
     ray_buffer,
     rtc_intersect1,
+    rtc_intersect16,
     rtc_occluded1,
     rtc_occluded16,
 )
@@ -62,16 +63,33 @@ def _replay_single(handle, queries, buffer):
 
 @kernel
 def _replay_packets(handle, valid, packets):
-    """Embree alone on recorded packets, in place."""
+    """Embree alone on recorded shadow packets, in place."""
     base = packets.ctypes.data
     for i in range(packets.shape[0]):
         rtc_occluded16(valid.ctypes.data, handle, base + i * 4 * packets.shape[1], 0)
+
+
+@kernel
+def _replay_eye_packets(handle, valid, packets):
+    """Embree alone on recorded eye packets, rows wide enough for the hits, in place."""
+    base = packets.ctypes.data
+    words = packets.view(np.uint32)
+    for i in range(packets.shape[0]):
+        for lane in range(LANES):
+            words[i, 16 * GEOM + lane] = MISS
+        rtc_intersect16(valid.ctypes.data, handle, base + i * 4 * packets.shape[1], 0)
 
 
 def _aligned(rows: int, words: int) -> np.ndarray:
     raw = np.zeros(rows * words * 4 + 64, np.uint8)
     start = -raw.ctypes.data % 64
     return raw[start : start + rows * words * 4].view(np.float32).reshape(rows, words)
+
+
+def _all_lanes() -> np.ndarray:
+    valid = _aligned(1, LANES)[0].view(np.int32)
+    valid[:] = -1
+    return valid
 
 
 class Subject:
@@ -135,19 +153,23 @@ class Subject:
         prepare_forecast(SerialWorld(), self.config, self.scene, watch)
         return watch.stages
 
-    def raw_single(self, queries: np.ndarray) -> tuple[int, float]:
-        """Embree alone on recorded single rays (n, 24)."""
-        rays = _aligned(len(queries), 32)
+    def raw_single(self, queries: np.ndarray, eye_packets: np.ndarray) -> tuple[int, float]:
+        """Embree alone on the path tracer's rays: single ones (n, 24) and eye packets (m, 192)."""
+        rays, packets = _aligned(len(queries), 32), _aligned(len(eye_packets), 16 * 24)
         rays[:, :24] = queries
-        _replay_single(self.scene.embree.handle, _aligned(0, 32), 0)
-        return len(queries), _timed(lambda: _replay_single(self.scene.embree.handle, rays, 0))[1]
+        packets[:, : eye_packets.shape[1]] = eye_packets
+        handle, valid = self.scene.embree.handle, _all_lanes()
+        _replay_single(handle, _aligned(0, 32), 0)
+        _replay_eye_packets(handle, valid, packets[:0])
+        in_use = int((eye_packets.reshape(-1, 12, LANES)[:, TFAR] >= 0).sum())
+        seconds = _timed(lambda: _replay_single(handle, rays, 0))[1]
+        return len(queries) + in_use, seconds + _timed(lambda: _replay_eye_packets(handle, valid, packets))[1]
 
     def raw_packets(self, packets: np.ndarray) -> tuple[int, float]:
         """Embree alone on recorded 16-wide shadow packets (n, 192): rays in use."""
         copy = _aligned(len(packets), packets.shape[1])
         copy[:] = packets
-        valid = _aligned(1, LANES)[0].view(np.int32)
-        valid[:] = -1
+        valid = _all_lanes()
         _replay_packets(self.scene.embree.handle, valid, copy[:0])
         in_use = int((packets.reshape(-1, 12, LANES)[:, TFAR] >= 0).sum())
         return in_use, _timed(lambda: _replay_packets(self.scene.embree.handle, valid, copy))[1]

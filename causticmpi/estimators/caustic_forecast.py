@@ -64,7 +64,7 @@ centre is dark stays within reach."""
 @inline
 def bin_of(maps, local):
     """Bin of a unit direction in the frame of the normal, above the horizon."""
-    phi = math.atan2(local[1], local[0])
+    phi: Any = math.atan2(local[1], local[0])
     phi = phi + TWO_PI if phi < ZERO else phi
     column = min(maps.columns - 1, np.int64(phi * (np.float32(maps.columns) / TWO_PI)))
     row = min(maps.rows - 1, np.int64(local[2] * np.float32(maps.rows)))

@@ -18,8 +18,8 @@ import numpy as np
 from causticmpi.estimators import caustic_forecast as cf
 from causticmpi.estimators import weak_singularities as ws
 from causticmpi.kernels import bsdf, rng, vec
-from causticmpi.kernels.camera import primary_ray
-from causticmpi.kernels.embree import intersect
+from causticmpi.kernels.camera import lane_direction, see_packet
+from causticmpi.kernels.embree import intersect, lane_hit
 from causticmpi.kernels.eye_path import emitted, facing, follow_chain
 from causticmpi.kernels.jit import inline, kernel
 from causticmpi.kernels.pixels import add_sample
@@ -84,26 +84,23 @@ def _push(work, top, p, offset, n, wo, throughput, material, depth, layer, key):
 def _see_tile(scene, camera, work, pixels, first, seed, pass_index):
     """Find the first non-specular vertex behind each of 16 pixels. Returns (vertices in use, rays traced)."""
     packet = work.packet
-    used, traced = 0, 0
+    used = 0
+    traced = see_packet(scene, camera, packet, pixels, first, seed, pass_index)
     for i in range(16):
         for c in range(3):
             packet[ws.NORMAL + 16 * c + i] = ZERO
-            packet[ws.POINT + 16 * c + i] = ZERO
             work.le[i, c] = ZERO
         packet[ws.EPSILON + i] = ZERO
         work.lane[i, 3] = ZERO
         if pixels[first + i, 0] < 0:
             continue
         key = rng.make_key(seed, rng.CAMERA, pass_index, pixels[first + i, 2])
-        u, v = rng.uniform2(key, 0)
-        origin, direction = primary_ray(
-            camera, np.float32(pixels[first + i, 0]) + u, np.float32(pixels[first + i, 1]) + v
-        )
-        primitive, t = intersect(scene.handle, scene.triangle_count, packet, origin, direction, INFINITY)
+        origin, direction = vec.row(camera, 0), lane_direction(packet, i)
+        primitive, t = lane_hit(scene.triangle_count, packet, i)
         primitive, p, n, offset, direction, throughput, more = follow_chain(
             scene, packet, origin, direction, primitive, t, WHITE, rng.subkey(key, CHAIN)
         )
-        traced += 1 + more
+        traced += more
         if primitive < 0:
             continue
         light = vec.mul(throughput, emitted(scene, primitive, n, direction))

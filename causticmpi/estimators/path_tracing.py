@@ -6,11 +6,9 @@ first non-specular vertex p is specular, else to L_d (with what is seen directly
 
 import math
 
-import numpy as np
-
 from causticmpi.kernels import bsdf, rng, vec
-from causticmpi.kernels.camera import primary_ray
-from causticmpi.kernels.embree import intersect, visible
+from causticmpi.kernels.camera import lane_direction, see_packet
+from causticmpi.kernels.embree import LANES, intersect, lane_hit, visible
 from causticmpi.kernels.eye_path import emitted, facing, scatter_along_eye_path
 from causticmpi.kernels.jit import inline, kernel
 from causticmpi.kernels.pixels import add_sample
@@ -19,7 +17,7 @@ from causticmpi.kernels.vec import BLACK, INFINITY, ONE, WHITE, ZERO
 
 ROULETTE_START = 3
 """Diffuse vertices before Russian roulette sets in; before it roulette costs more noise than it saves time."""
-CHOICE, DIRECTION, LIGHT, LIGHT_POINT = 0, 1, 2, 3
+CHOICE, DIRECTION, LIGHT = 0, 1, 2
 """Dimensions of a vertex key."""
 
 
@@ -35,9 +33,8 @@ def direct_light(scene, rays, p, n, offset, material, wo, key):
 
     Weighted against BRDF sampling by the balance heuristic. Returns (RGB radiance, rays traced).
     """
-    u, _ = rng.uniform2(key, LIGHT)
+    u, v = rng.uniform2(key, LIGHT)
     light, u = pick_light(scene, u)
-    _, v = rng.uniform2(key, LIGHT_POINT)
     q, n_q, offset_q = light_point(scene, light, u, v)
     d = vec.sub(q, p)
     distance2 = vec.dot(d, d)
@@ -61,18 +58,21 @@ def trace_paths(scene, camera, rays, pixels, seed, pass_index, film):
     traced."""
     traced = 0
     for i in range(pixels.shape[0]):
+        if i % LANES == 0:
+            traced += see_packet(scene, camera, rays, pixels, i, seed, pass_index)
         if pixels[i, 0] < 0:
             continue
         key = rng.make_key(seed, rng.CAMERA, pass_index, pixels[i, 2])
-        u, v = rng.uniform2(key, 0)
-        origin, direction = primary_ray(camera, np.float32(pixels[i, 0]) + u, np.float32(pixels[i, 1]) + v)
+        primitive, t = lane_hit(scene.triangle_count, rays, i % LANES)
+        origin, direction = vec.row(camera, 0), lane_direction(rays, i % LANES)
         throughput, diffusive, caustic = WHITE, BLACK, BLACK
         depth, chain, bounce = 0, 0, 0  # D vertices so far; S vertices since the last D; all vertices
         is_caustic = False
         density = ZERO  # of the last BRDF sample; 0 after the eye or a specular surface
         while True:
-            primitive, t = intersect(scene.handle, scene.triangle_count, rays, origin, direction, INFINITY)
-            traced += 1
+            if bounce > 0:
+                primitive, t = intersect(scene.handle, scene.triangle_count, rays, origin, direction, INFINITY)
+                traced += 1
             if primitive < 0:
                 break
             p, n, offset = hit_point(scene, primitive, origin, direction, t)
@@ -141,17 +141,20 @@ def trace_paths_brute(scene, camera, rays, pixels, seed, pass_index, film):
     """One path a pixel that finds light by chance alone: no next-event estimation, no weights. Returns rays traced."""
     traced = 0
     for i in range(pixels.shape[0]):
+        if i % LANES == 0:
+            traced += see_packet(scene, camera, rays, pixels, i, seed, pass_index)
         if pixels[i, 0] < 0:
             continue
         key = rng.make_key(seed, rng.CAMERA, pass_index, pixels[i, 2])
-        u, v = rng.uniform2(key, 0)
-        origin, direction = primary_ray(camera, np.float32(pixels[i, 0]) + u, np.float32(pixels[i, 1]) + v)
+        primitive, t = lane_hit(scene.triangle_count, rays, i % LANES)
+        origin, direction = vec.row(camera, 0), lane_direction(rays, i % LANES)
         throughput, diffusive, caustic = WHITE, BLACK, BLACK
         depth, chain, bounce = 0, 0, 0
         is_caustic = False
         while True:
-            primitive, t = intersect(scene.handle, scene.triangle_count, rays, origin, direction, INFINITY)
-            traced += 1
+            if bounce > 0:
+                primitive, t = intersect(scene.handle, scene.triangle_count, rays, origin, direction, INFINITY)
+                traced += 1
             if primitive < 0:
                 break
             p, n, offset = hit_point(scene, primitive, origin, direction, t)

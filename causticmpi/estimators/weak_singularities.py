@@ -13,11 +13,10 @@ only.
 import numpy as np
 
 from causticmpi.kernels import bsdf, vec
-from causticmpi.kernels.embree import RAY16, TFAR, rtc_occluded16, visible
+from causticmpi.kernels.embree import LANES, RAY16, TFAR, VALID, ray_buffer, rtc_occluded16, visible
 from causticmpi.kernels.jit import inline
 from causticmpi.kernels.vec import ONE, PI, ZERO
 
-LANES = 16
 POINT = RAY16  # the 16-wide ray's origins are the points, already moved off their surfaces
 DIRECTION = RAY16 + 4 * LANES
 REACH = RAY16 + TFAR * LANES
@@ -30,14 +29,7 @@ of use when its normal is 0. SUM collects the irradiance-like RGB sums."""
 
 def packet_buffer() -> np.ndarray:
     """Aligned packet workspace; its head is a `kernels.embree.ray_buffer`."""
-    raw = np.zeros(WORDS * 4 + 64, np.uint8)
-    start = -raw.ctypes.data % 64
-    buffer = raw[start : start + WORDS * 4].view(np.float32)
-    integers = buffer.view(np.uint32)
-    integers[9] = 0xFFFFFFFF
-    integers[32:48] = 0xFFFFFFFF  # all lanes valid: lanes out of use get a negative reach instead
-    integers[RAY16 + 9 * LANES : RAY16 + 10 * LANES] = 0xFFFFFFFF
-    return buffer
+    return ray_buffer(WORDS - TILE)
 
 
 @inline
@@ -139,7 +131,7 @@ def gather_tile(scene, packet, lights, count, materials, glossy, bound):
         if alive == 0:
             continue
         traced += alive
-        rtc_occluded16(packet.ctypes.data + 4 * 32, scene.handle, packet.ctypes.data + 4 * RAY16, 0)
+        rtc_occluded16(packet.ctypes.data + 4 * VALID, scene.handle, packet.ctypes.data + 4 * RAY16, 0)
         _collect_lambert(packet, lights, j)
     return traced
 

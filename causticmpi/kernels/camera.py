@@ -1,7 +1,11 @@
 """Pinhole camera: an array (4, 3) made by `causticmpi.scene.tracing.camera_array`."""
 
-from causticmpi.kernels import vec
+import numpy as np
+
+from causticmpi.kernels import rng, vec
+from causticmpi.kernels.embree import LANES, RAY16, TFAR, intersect_packet
 from causticmpi.kernels.jit import inline
+from causticmpi.kernels.vec import INFINITY, ONE, ZERO
 
 
 @inline
@@ -9,3 +13,36 @@ def primary_ray(camera, x, y):
     """Origin and unit direction through the film position (x, y) in pixels, (0, 0) the top left corner."""
     d = vec.along(vec.row(camera, 1), vec.row(camera, 2), x)
     return vec.row(camera, 0), vec.normalize(vec.along(d, vec.row(camera, 3), y))
+
+
+@inline
+def see_packet(scene, camera, rays, pixels, first, seed, pass_index):
+    """Trace the eye rays of 16 rows of `pixels`, a sample somewhere in each, as one packet. Returns the rays traced.
+
+    Hits are read by `embree.lane_hit`, directions by `lane_direction`.
+    """
+    used = 0
+    for i in range(LANES):
+        rays[RAY16 + 16 * TFAR + i] = -ONE
+        if pixels[first + i, 0] < 0:
+            continue
+        used += 1
+        key = rng.make_key(seed, rng.CAMERA, pass_index, pixels[first + i, 2])
+        u, v = rng.uniform2(key, 0)
+        origin, direction = primary_ray(
+            camera, np.float32(pixels[first + i, 0]) + u, np.float32(pixels[first + i, 1]) + v
+        )
+        for c in range(3):
+            rays[RAY16 + 16 * c + i] = origin[c]
+            rays[RAY16 + 16 * (4 + c) + i] = direction[c]
+        rays[RAY16 + 16 * TFAR + i] = INFINITY
+    for i in range(LANES):
+        rays[RAY16 + 16 * 3 + i] = ZERO
+    intersect_packet(scene.handle, rays)
+    return used
+
+
+@inline
+def lane_direction(rays, lane):
+    """Direction of a lane of the packet."""
+    return rays[RAY16 + 16 * 4 + lane], rays[RAY16 + 16 * 5 + lane], rays[RAY16 + 16 * 6 + lane]

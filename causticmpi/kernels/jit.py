@@ -62,8 +62,7 @@ FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
 def kernel(function: Callable[..., Any]) -> Any:
     """Compile for the machine at hand, cached on disk.
 
-    `_nrt=False`: kernels allocate nothing and count no references, which made the path tracer twice as fast; workspace is
-    handed in.
+    `_nrt=False`: kernels allocate nothing and count no references; workspace is handed in.
     """
     return _njit(cache=True, fastmath=FAST, error_model="numpy", _nrt=False)(function)
 

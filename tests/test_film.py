@@ -1,0 +1,164 @@
+"""Films add up exactly in any order and grouping; rounds are dealt out so that every tile of every pass is traced once."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from causticmpi.render.film import CHANNELS, QUANTUM_BITS, Film, quantum_for, resolve
+from causticmpi.render.rounds import deal
+
+SLOTS, PASSES = 40, 64
+QUANTUM = quantum_for(15.0)
+
+
+def passes(seed: int = 1, count: int = PASSES) -> np.ndarray:
+    """Pass films (count, SLOTS, 6) with values over eight decades below 16, many of them 0."""
+    generator = np.random.default_rng(seed)
+    values = 16 * 10 ** generator.uniform(-8, 0, size=(count, SLOTS, 6))
+    return np.where(generator.random(values.shape) < 0.2, 0, values).astype(np.float32)
+
+
+def add_up(films: np.ndarray) -> Film:
+    film = Film(SLOTS, QUANTUM)
+    for one in films:
+        film.add_pass(one.copy())
+        film.passes += 1
+    return film
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_any_order_and_grouping_gives_the_same_bits(seed: int) -> None:
+    films = passes()
+    generator = np.random.default_rng(seed)
+    whole = add_up(films)
+    order = generator.permutation(PASSES)
+    assert np.array_equal(add_up(films[order]).sums, whole.sums)
+    cuts = np.sort(generator.choice(np.arange(1, PASSES), 5, replace=False))
+    groups = [add_up(group) for group in np.split(films[order], cuts)]
+    while len(groups) > 1:  # merged as a random tree, each way round
+        a = groups.pop(generator.integers(len(groups)))
+        b = groups.pop(generator.integers(len(groups)))
+        a.merge(b)
+        groups.append(a)
+    assert np.array_equal(groups[0].sums, whole.sums) and groups[0].passes == PASSES
+
+
+def test_ranks_that_share_a_pass() -> None:
+    """Slots split over ranks: each adds its own part of the pass, the rest black."""
+    films = passes()
+    whole, parts = add_up(films), [Film(SLOTS, QUANTUM) for _ in range(3)]
+    for one, (rank, part) in itertools.product(films, enumerate(parts)):
+        own = np.zeros_like(one)
+        own[rank::3] = one[rank::3]
+        part.add_pass(own)
+    parts[0].merge(parts[1])
+    parts[0].merge(parts[2])
+    assert np.array_equal(parts[0].sums, whole.sums)
+
+
+def test_exact_up_to_the_stated_limit() -> None:
+    """2^53 quanta: 2^13 passes at the full brightness of the light itself still add up without rounding."""
+    quantum = quantum_for(1.0)
+    bright = np.full((1, 6), 0.5, np.float32)
+    odd = np.full((1, 6), np.float32(quantum), np.float32)
+    film = Film(1, quantum)
+    for _ in range(8000):
+        film.add_pass(bright.copy())
+    film.add_pass(odd.copy())
+    other = Film(1, quantum)
+    other.add_pass(odd.copy())
+    for _ in range(8000):
+        other.add_pass(bright.copy())
+    assert (film.sums[0, :6] == 4000 + quantum).all() and np.array_equal(film.sums, other.sums)
+    assert (film.sums[0, 6:] == 8000).all()
+
+
+def test_sums_against_numpy() -> None:
+    films = passes()
+    film = add_up(films)
+    wide = films.astype(np.float64)
+    squares = ((wide[..., :3] + wide[..., 3:]) ** 2).sum(axis=0)
+    # Each value is off by half a quantum at most.
+    np.testing.assert_allclose(film.sums[:, :6], wide.sum(axis=0), rtol=0, atol=PASSES * QUANTUM / 2)
+    np.testing.assert_allclose(film.sums[:, 6:], squares, rtol=1e-7, atol=PASSES * QUANTUM**2 * 2.0**QUANTUM_BITS)
+    assert film.sums.shape == (SLOTS, CHANNELS) and film.sums.dtype == np.float64
+    np.testing.assert_allclose(film.sums[:, :6], np.rint(film.sums[:, :6] / QUANTUM) * QUANTUM, rtol=0, atol=0)
+
+
+def test_resolve_against_numpy() -> None:
+    films = passes(2).astype(np.float64)
+    diffusive, caustic, variance = resolve(add_up(films.astype(np.float32)).sums, PASSES)
+    np.testing.assert_allclose(diffusive, films[..., :3].mean(axis=0), atol=QUANTUM)
+    np.testing.assert_allclose(caustic, films[..., 3:].mean(axis=0), atol=QUANTUM)
+    oracle = (films[..., :3] + films[..., 3:]).var(axis=0, ddof=1) / PASSES
+    np.testing.assert_allclose(variance, oracle, rtol=1e-6, atol=1e-12)
+
+
+def test_resolve_of_a_single_pass_and_of_equal_passes() -> None:
+    one = passes(3, 1)
+    assert not resolve(add_up(one).sums, 1)[2].any()
+    variance = resolve(add_up(np.repeat(one, 50, axis=0)).sums, 50)[2]
+    assert (variance >= 0).all() and variance.max() < 1e-9
+
+
+def test_variance_of_the_mean_is_covered() -> None:
+    """The mean of normal-like pixels lies within its stated error as often as it should (fixed seed, 4 sigma)."""
+    generator = np.random.default_rng(9)
+    films = generator.gamma(4.0, 0.25, size=(256, 2000, 6)).astype(np.float32)
+    film = Film(2000, quantum_for(4.0))
+    for one in films:
+        film.add_pass(one.copy())
+    diffusive, caustic, variance = resolve(film.sums, 256)
+    z = (diffusive + caustic - 2) / np.sqrt(variance)
+    assert abs((np.abs(z) < 1).mean() - 0.6827) < 4 * np.sqrt(0.6827 * 0.3173 / z.size)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 3.3e38])
+@pytest.mark.parametrize("channel", range(6))
+def test_non_finite_samples_are_counted_and_black(bad: float, channel: int) -> None:
+    films = passes(4, 3)
+    spoilt = films.copy()
+    spoilt[1, 5, channel] = bad
+    films[1, 5] = 0
+    film = add_up(spoilt)
+    assert film.nonfinite == 1 and np.array_equal(film.sums, add_up(films).sums)
+
+
+def test_add_pass_blanks_the_pass_film_and_clear_the_film() -> None:
+    one = passes(5, 1)[0]
+    one[3, 2] = np.nan
+    film = Film(SLOTS, QUANTUM)
+    film.add_pass(one)
+    assert not one.any() and film.passes == 0 and film.nonfinite == 1 and film.sums.any()
+    film.passes, film.rays = 3, 7
+    other = Film(SLOTS, QUANTUM)
+    other.merge(film)
+    other.merge(film)
+    assert (other.passes, other.rays, other.nonfinite) == (6, 14, 2)
+    film.clear()
+    assert (film.passes, film.rays, film.nonfinite) == (0, 0, 0) and not film.sums.any()
+
+
+@pytest.mark.parametrize("brightest", [1e-6, 0.7, 1.0, 15.0, 16.0, 1e9])
+def test_quantum(brightest: float) -> None:
+    """A power of two, between 2^-40 and 2^-39 of the brightest light."""
+    quantum = quantum_for(brightest)
+    assert np.frexp(quantum)[0] == 0.5 and 2.0**-40 <= quantum / brightest < 2.0**-39
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 4, 7, 16, 61])
+def test_deal_covers_every_tile_once(size: int) -> None:
+    for count, tiles, first in itertools.product((1, 2, 3, 4, 7, 16, 32), (1, 2, 5, 60, 61, 400), (0, 13)):
+        seen = np.zeros((count, 16 * tiles), int)
+        loads = []
+        for rank in range(size):
+            shares = deal(first, count, tiles, size, rank)
+            for share in shares:
+                assert share.first % 16 == 0 and share.first < share.last <= 16 * tiles
+                seen[share.pass_index - first, share.first : share.last] += 1
+            if count % size == 0:
+                assert all((s.first, s.last) == (0, 16 * tiles) for s in shares) and len(shares) == count // size
+            loads.append(sum(s.last - s.first for s in shares) // 16)
+        assert (seen == 1).all()
+        assert max(loads) - min(loads) <= 1

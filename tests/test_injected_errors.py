@@ -1,0 +1,159 @@
+"""The tests of unbiasedness have teeth: known errors put into the kernels on purpose make them fail, and clearly.
+
+A mutant is the source text of a kernel module with one phrase replaced, compiled under another name. A phrase that is
+no longer there, or there twice, fails at once: then the mutant must follow the source.
+"""
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from causticmpi.config.records import RenderConfig
+from causticmpi.render import methods
+from causticmpi.scene.data import SceneData
+from tests.rendering import REPOSITORY, make_config, render_passes, scene_from, total
+from tests.test_furnace import UNDER_WATER, room
+from tests.z_test import ALPHA, Verdict, block_means, compare, compare_with_truth
+
+pytestmark = pytest.mark.statistical
+CLEAR = 1e-6
+"""p-value below which an injected error counts as found; the right kernels must stay above ALPHA."""
+PACKAGE = REPOSITORY / "causticmpi"
+UNCACHED = """import numba
+from causticmpi.kernels.jit import FAST, inline
+kernel = numba.njit(fastmath=FAST, error_model="numpy", _nrt=False)
+"""
+"""In place of the cached decorator: mutants must not settle in the folder of the right kernels."""
+
+
+def mutant(module: str, folder: Path, *changes: tuple[str, str]) -> ModuleType:
+    """The module, named as "room.module", with each (phrase, replacement) carried out, compiled on first call."""
+    text = PACKAGE.joinpath(*module.split(".")).with_suffix(".py").read_text()
+    decorators = "from causticmpi.kernels.jit import inline, kernel\n"
+    for phrase, replacement in [*changes, *([(decorators, UNCACHED)] if decorators in text else [])]:
+        assert text.count(phrase) == 1, f"{module} holds {text.count(phrase)} times, not once: {phrase!r}"
+        text = text.replace(phrase, replacement)
+    name = "mutant_" + module.replace(".", "_")
+    path = folder / f"{name}.py"
+    path.write_text(text)
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None and spec.loader is not None
+    made = importlib.util.module_from_spec(spec)
+    sys.modules[name] = made
+    spec.loader.exec_module(made)
+    return made
+
+
+# A light that shines at a mirror wall, which throws most of it back into the room; a mirror sphere in the middle.
+ROOM = """
+camera: {eye: [0, 1.6, 3.2], target: [0, 0.1, 0], up: [0, 1, 0], fov: 40}
+materials:
+  white: {type: diffuse, reflectance: 0.7}
+  black: {type: diffuse, reflectance: 0}
+  mirror: {type: mirror, reflectance: 0.95}
+shapes:
+  - {type: quad, corners: [[-1, -0.5, 1], [1, -0.5, 1], [1, -0.5, -1], [-1, -0.5, -1]], material: white}
+  - {type: quad, corners: [[-1, -0.5, -1], [1, -0.5, -1], [1, 1.2, -1], [-1, 1.2, -1]], material: white}
+  - {type: quad, corners: [[-1, -0.5, 1], [-1, -0.5, -1], [-1, 1.2, -1], [-1, 1.2, 1]], material: white}
+  - {type: quad, corners: [[1, -0.5, -1], [1, -0.5, 1], [1, 1.2, 1], [1, 1.2, -1]], material: mirror}
+  - {type: sphere, center: [-0.2, -0.1, 0], radius: 0.4, material: mirror}
+  - type: quad
+    corners: [[0.6, 0.4, -0.4], [0.6, 1.1, -0.4], [0.6, 1.1, 0.4], [0.6, 0.4, 0.4]]
+    material: black
+    emission: 8
+"""
+BOUND = 0.5
+"""b [units^-2]: compensation reaches sqrt(1 / b) = 1.4 units here, the distance of walls and sphere."""
+
+
+def settings(method: str) -> RenderConfig:
+    return make_config(
+        method=method,
+        film={"width": 16, "height": 16},
+        iws={"paths": 32, "bound": BOUND},
+        forecast={"photons": 5000, "clusters": 16, "neighbours": 20, "table": [16, 8], "max_rank": 12},
+    )
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> SceneData:
+    return scene_from(ROOM, tmp_path_factory.mktemp("scene"))
+
+
+def blocks_of(scene: SceneData, config: RenderConfig, passes: int) -> np.ndarray:
+    return block_means(total(render_passes(scene, config, passes))[..., :1], 4)
+
+
+@pytest.fixture(scope="module")
+def truth(scene: SceneData) -> np.ndarray:
+    return blocks_of(scene, settings("pt"), 8000)
+
+
+def judge(scene: SceneData, truth: np.ndarray) -> Verdict:
+    found = blocks_of(scene, settings("iws+cf"), 1000)
+    verdict = compare(found, truth)
+    print(f"\n{verdict}; picture {100 * (found.mean() / truth.mean() - 1):+.2f} %")
+    return verdict
+
+
+def test_right_kernels_pass(scene: SceneData, truth: np.ndarray) -> None:
+    assert judge(scene, truth).p > ALPHA
+
+
+def test_lights_lost_behind_mirrors(
+    scene: SceneData, truth: np.ndarray, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Virtual lights after a specular chain are not stored: the paths L S+ D D E are lost."""
+    made = mutant(
+        "estimators.virtual_lights",
+        tmp_path,
+        ("direction, flux, _, rays_traced = particles.walk", "direction, flux, events, rays_traced = particles.walk"),
+        ("if vec.max3(bsdf.albedo(scene, material)) > ZERO:", "if events == 0:"),
+    )
+    monkeypatch.setattr(methods, "trace_virtual_lights", made.trace_virtual_lights)
+    assert judge(scene, truth).p < CLEAR
+
+
+def test_compensation_counts_caustics_again(
+    scene: SceneData, truth: np.ndarray, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A compensation ray that hits a mirror follows it, although the caustic samples do so already.
+
+    Only mirrors within the ray's reach sqrt(cos / b) do harm: a large b would hide the error.
+    """
+    made = mutant("estimators.iws_cf", tmp_path, ("if (j == 0 and steered) or not (caustics", "if not (caustics"))
+    monkeypatch.setattr(methods, "trace_iws_cf", made.trace_iws_cf)
+    assert judge(scene, truth).p < CLEAR
+
+
+def test_empty_bins_left_out(
+    scene: SceneData, truth: np.ndarray, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Table 2 is not sampled: caustics arrive from the photons' bins alone."""
+    made = mutant(
+        "estimators.iws_cf", tmp_path, ("            if total2 <= ZERO:\n", "            if total2 > -ONE:\n")
+    )
+    monkeypatch.setattr(methods, "trace_iws_cf", made.trace_iws_cf)
+    assert judge(scene, truth).p < CLEAR
+
+
+def test_radiance_not_scaled_at_refraction(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without eta^2 the floor of a water furnace looks n^2 times as bright from the air."""
+    water = scene_from(room(0.5, below=1.33**2, inside=UNDER_WATER), tmp_path)
+    assert compare_with_truth(blocks_of(water, settings("pt"), 300), 2.0).p > ALPHA
+    mutant(
+        "kernels.eye_path",
+        tmp_path,
+        ("vec.scale(vec.mul(throughput, weight), eta * eta)", "vec.mul(throughput, weight)"),
+    )
+    made = mutant(
+        "estimators.path_tracing",
+        tmp_path,
+        ("from causticmpi.kernels.eye_path import", "from mutant_kernels_eye_path import"),
+    )
+    monkeypatch.setattr(methods, "trace_paths", made.trace_paths)
+    assert compare_with_truth(blocks_of(water, settings("pt"), 300), 2.0).p < CLEAR
