@@ -1,7 +1,7 @@
 """Chi-square tests of samplers against their pdf, over cells of the sphere.
 
-Significance is stated for a whole file of tests: `SIGNIFICANCE` is the chance that a right implementation would fail any
-of them, and each single p-value is held against its Sidak share of it. Seeds are fixed, so the outcome never flickers.
+Significance is stated for a whole file of tests: `SIGNIFICANCE` is the chance that a right implementation would fail
+any of them, and each single p-value is held against its Sidak share of it. Seeds are fixed: the outcome never flickers.
 """
 
 import numpy as np

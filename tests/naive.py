@@ -143,3 +143,13 @@ def connection(
         return np.zeros(3)
     sharp = max(1.0, math.pi * float(np.max(f_p))) * peak
     return f_p * f_q * geometry * min(1.0, bound / (geometry * sharp))
+
+
+def competitive_learning(feature: np.ndarray, training: np.ndarray, clusters: int, epochs: int) -> np.ndarray:
+    """Codebook (6, m): the codeword of least (wins x squared distance) moves to the vector by 1 / wins."""
+    codebook, wins = feature[:, training[:clusters]].T.astype(np.float64), np.ones(clusters)
+    for i in np.tile(training, epochs):
+        winner = int(np.argmin(wins * ((codebook - feature[:, i]) ** 2).sum(axis=1)))
+        wins[winner] += 1
+        codebook[winner] += (feature[:, i] - codebook[winner]) / wins[winner]
+    return codebook.T

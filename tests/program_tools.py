@@ -57,7 +57,9 @@ def compile_kernels() -> None:
     """Have all kernels on disk, so that what follows takes the seconds it should."""
     with tempfile.TemporaryDirectory() as folder:
         for method in ("iws+cf", "pt"):
-            render_here(Path(folder) / method, "--spp", "1", "--method", method)
+            render_here(Path(folder) / "here" / method, "--spp", "1", "--method", method)
+            done = render_program(Path(folder) / "program" / method, "--spp", "1", "--method", method)
+            assert done.returncode == 0, done.stderr
 
 
 def read_layers(out: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:

@@ -30,6 +30,21 @@ def run_visible(handle, rays, origin, target, out):
         out[i] = embree.visible(handle, rays, vec.row(origin, i), vec.row(target, i))
 
 
+@numba.njit
+def run_packets(handle, triangle_count, rays, origin, direction, primitive, t):
+    """The rays 16 at a time, every fifth lane out of use."""
+    for first in range(0, origin.shape[0], 16):
+        for i in range(16):
+            for c in range(3):
+                rays[embree.RAY16 + 16 * c + i] = origin[first + i, c]
+                rays[embree.RAY16 + 16 * (4 + c) + i] = direction[first + i, c]
+            rays[embree.RAY16 + 16 * embree.TNEAR + i] = 0
+            rays[embree.RAY16 + 16 * embree.TFAR + i] = -1 if i % 5 == 0 else np.inf
+        embree.intersect_packet(handle, rays)
+        for i in range(16):
+            primitive[first + i], t[first + i] = embree.lane_hit(triangle_count, rays, i)
+
+
 def hits(scene: EmbreeScene, triangles: int, origin: np.ndarray, direction: np.ndarray, tfar: float = np.inf) -> tuple:
     primitive, t = np.empty(len(origin), np.int64), np.empty(len(origin), np.float32)
     rays = (np.ascontiguousarray(a, np.float32) for a in (origin, direction))
@@ -62,7 +77,13 @@ def cornell() -> Soup:
     return soup
 
 
-SOUPS = {"cornell": cornell(), "both": Soup(300, 30), "triangles": Soup(50, 0), "spheres": Soup(0, 20), "one": Soup(1, 1)}
+SOUPS = {
+    "cornell": cornell(),
+    "both": Soup(300, 30),
+    "triangles": Soup(50, 0),
+    "spheres": Soup(0, 20),
+    "one": Soup(1, 1),
+}
 
 
 @pytest.fixture(params=SOUPS)
@@ -95,7 +116,11 @@ def test_intersect_against_brute_force(soup: Soup, built: EmbreeScene) -> None:
     least = oracle_t.min(axis=1)
     row = np.arange(len(origin))
     # Where a ray grazes an edge, or two surfaces are equally far, float32 may decide otherwise.
-    second = np.partition(np.where(np.isfinite(oracle_t), oracle_t, 1e30), 1, axis=1)[:, 1] if oracle_t.shape[1] > 1 else least
+    second = (
+        np.partition(np.where(np.isfinite(oracle_t), oracle_t, 1e30), 1, axis=1)[:, 1]
+        if oracle_t.shape[1] > 1
+        else least
+    )
     clear = (np.abs(depth).min(axis=1) > 1e-5) & ((second - least > 1e-5) | ~np.isfinite(least)) & (least > 1e-5)
     assert clear.mean() > 0.8
     expected = np.where(np.isfinite(least), nearest, -1)
@@ -115,10 +140,26 @@ def test_visible_against_brute_force(soup: Soup, built: EmbreeScene) -> None:
     origin, target = rays()[0], rays(RAYS)[0][::-1].copy()
     direction = target.astype(np.float64) - origin
     oracle_t, depth = naive.intersect(soup.vertices[soup.triangles], soup.spheres, origin, direction)
-    clear = (np.abs(depth).min(axis=1) > 1e-5) & (np.abs(oracle_t - 1).min(axis=1) > 1e-4) & (oracle_t.min(axis=1) > 1e-4)
+    clear = (
+        (np.abs(depth).min(axis=1) > 1e-5) & (np.abs(oracle_t - 1).min(axis=1) > 1e-4) & (oracle_t.min(axis=1) > 1e-4)
+    )
     seen = sees(built, origin, target)
     assert np.array_equal(seen[clear], (oracle_t.min(axis=1) >= 1)[clear])
     assert clear.mean() > 0.9 and seen.any() and not seen.all()
+
+
+def test_packets_hit_what_single_rays_hit(soup: Soup, built: EmbreeScene) -> None:
+    """Lanes out of use miss; the others find the same surface but where two are within rounding."""
+    origin, direction = rays()
+    single, single_t = hits(built, len(soup.triangles), origin, direction)
+    primitive, t = np.empty(RAYS, np.int64), np.empty(RAYS, np.float32)
+    run_packets(built.handle, len(soup.triangles), ray_buffer(), origin, direction, primitive, t)
+    used = np.arange(RAYS) % 16 % 5 != 0
+    assert (primitive[~used] == -1).all() and (t[~used] == np.inf).all()
+    same = primitive == single
+    assert same[used].mean() > 0.998 and (single[used] >= 0).any()
+    both = used & same
+    np.testing.assert_allclose(t[both], single_t[both], rtol=3e-4, atol=3e-6)
 
 
 def test_reach_limits_the_ray() -> None:

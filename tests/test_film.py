@@ -1,11 +1,11 @@
-"""Films add up exactly in any order and grouping; rounds are dealt out so that every tile of every pass is traced once."""
+"""Films add up exactly in any order and grouping; rounds are dealt so that every tile of every pass is traced once."""
 
 import itertools
 
 import numpy as np
 import pytest
 
-from causticmpi.render.film import CHANNELS, QUANTUM_BITS, Film, quantum_for, resolve
+from causticmpi.render.film import CHANNELS, LOW, Film, quantum_for, resolve
 from causticmpi.render.rounds import deal
 
 SLOTS, PASSES = 40, 64
@@ -58,9 +58,9 @@ def test_ranks_that_share_a_pass() -> None:
 
 
 def test_exact_up_to_the_stated_limit() -> None:
-    """2^53 quanta: 2^13 passes at the full brightness of the light itself still add up without rounding."""
+    """2^53 quanta: 2^17 passes at the full brightness of the light itself still add up without rounding."""
     quantum = quantum_for(1.0)
-    bright = np.full((1, 6), 0.5, np.float32)
+    bright = np.full((1, 6), 8.0, np.float32)
     odd = np.full((1, 6), np.float32(quantum), np.float32)
     film = Film(1, quantum)
     for _ in range(8000):
@@ -70,8 +70,24 @@ def test_exact_up_to_the_stated_limit() -> None:
     other.add_pass(odd.copy())
     for _ in range(8000):
         other.add_pass(bright.copy())
-    assert (film.sums[0, :6] == 4000 + quantum).all() and np.array_equal(film.sums, other.sums)
-    assert (film.sums[0, 6:] == 8000).all()
+    assert (film.sums[0, :6] == 64000 + quantum).all() and np.array_equal(film.sums, other.sums)
+    assert (film.sums[0, 6:9] + film.sums[0, 9:] == 8000 * 256).all()
+
+
+def test_squares_of_fireflies_are_exact() -> None:
+    """One firefly of a hundred times the light's radiance, among dim passes, in any grouping."""
+    random = np.random.default_rng(8)
+    values = (random.random((200, 1, 6)) * 1e-3).astype(np.float32)
+    values[17] = 700.0
+    quantum = quantum_for(15.0)
+    whole, reverse = Film(1, quantum), Film(1, quantum)
+    for value in values:
+        whole.add_pass(value.copy())
+    for value in values[::-1]:
+        reverse.add_pass(value.copy())
+    assert np.array_equal(whole.sums, reverse.sums)
+    squares = (values[:, 0, :3].astype(np.float64) + values[:, 0, 3:]) ** 2
+    np.testing.assert_allclose(whole.sums[0, 6:9] + whole.sums[0, 9:], squares.sum(axis=0), rtol=1e-12)
 
 
 def test_sums_against_numpy() -> None:
@@ -81,7 +97,8 @@ def test_sums_against_numpy() -> None:
     squares = ((wide[..., :3] + wide[..., 3:]) ** 2).sum(axis=0)
     # Each value is off by half a quantum at most.
     np.testing.assert_allclose(film.sums[:, :6], wide.sum(axis=0), rtol=0, atol=PASSES * QUANTUM / 2)
-    np.testing.assert_allclose(film.sums[:, 6:], squares, rtol=1e-7, atol=PASSES * QUANTUM**2 * 2.0**QUANTUM_BITS)
+    found = film.sums[:, 6:9] + film.sums[:, 9:]
+    np.testing.assert_allclose(found, squares, rtol=1e-12, atol=PASSES * QUANTUM**2 * LOW)
     assert film.sums.shape == (SLOTS, CHANNELS) and film.sums.dtype == np.float64
     np.testing.assert_allclose(film.sums[:, :6], np.rint(film.sums[:, :6] / QUANTUM) * QUANTUM, rtol=0, atol=0)
 

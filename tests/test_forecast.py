@@ -12,7 +12,7 @@ from test_kernels_kdtree import run_nearest
 from causticmpi.kernels import vec
 from causticmpi.preprocess.forecast import CULLED, ForecastMaps, build_forecast, cluster_of, energy_ranks, no_forecast
 from causticmpi.preprocess.photons import CausticPoints
-from causticmpi.preprocess.vector_quantization import NORMAL_WEIGHT, assign, features, learn_codebook
+from causticmpi.preprocess.vector_quantization import EPOCHS, NORMAL_WEIGHT, assign, features, learn_codebook
 
 CLUSTERS = 40
 
@@ -86,6 +86,14 @@ def test_codebook_is_deterministic_and_small_inputs_work() -> None:
     assert np.isfinite(learn_codebook(same, 8, 3)).all()
 
 
+def test_codebook_against_plain_competitive_learning() -> None:
+    """All 2000 points are training vectors, in the order of the generator that the seed names."""
+    feature, _ = features(POINTS.position[:2000], POINTS.normal[:2000])
+    training = np.random.Generator(np.random.Philox(key=5)).permutation(2000)
+    oracle = naive.competitive_learning(feature, training, 12, EPOCHS)
+    np.testing.assert_allclose(learn_codebook(feature, 12, 5), oracle, atol=1e-4)
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_quantization_is_near_that_of_kmeans(seed: int) -> None:
     """Mean squared error within twice that of the best of four runs of k-means, and no cluster starves."""
@@ -94,7 +102,8 @@ def test_quantization_is_near_that_of_kmeans(seed: int) -> None:
     error = squared_distances(codebook, feature).min(axis=1).mean()
     data = feature.T.astype(np.float64)
     best = min(
-        squared_distances(kmeans2(data, CLUSTERS, minit="++", seed=s)[0].T, feature).min(axis=1).mean() for s in range(4)
+        squared_distances(kmeans2(data, CLUSTERS, minit="++", seed=s)[0].T, feature).min(axis=1).mean()
+        for s in range(4)
     )
     assert error < 2 * best
     sizes = np.bincount(assigned(codebook, feature), minlength=CLUSTERS)
@@ -190,8 +199,8 @@ def test_members_are_those_within_epsilon_of_the_border(max_rank: int) -> None:
 def test_gather_in_a_cluster_misses_nothing_within_epsilon() -> None:
     """With overlap = radius, the tree of p's cluster holds every photon nearer to p than the radius in FEATURE space.
 
-    For such a photon d(photon, border) <= |photon - p|, since p lies on its own cluster's side of every bisector. On one
-    plane (equal normals) feature distance is distance, so the gather is what a tree over all photons would give.
+    For such a photon d(photon, border) <= |photon - p|, as p lies on its side of every bisector. On one plane (equal
+    normals) feature distance is distance, so the gather is what a tree over all photons would give.
     """
     maps, statistics, _ = build(max_rank=CULLED - 1)
     radius = statistics.radius

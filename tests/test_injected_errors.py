@@ -11,13 +11,13 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from rendering import REPOSITORY, make_config, render_passes, scene_from, total
+from test_furnace import UNDER_WATER, room
+from z_test import ALPHA, Verdict, block_means, compare, compare_with_truth
 
 from causticmpi.config.records import RenderConfig
 from causticmpi.render import methods
 from causticmpi.scene.data import SceneData
-from tests.rendering import REPOSITORY, make_config, render_passes, scene_from, total
-from tests.test_furnace import UNDER_WATER, room
-from tests.z_test import ALPHA, Verdict, block_means, compare, compare_with_truth
 
 pytestmark = pytest.mark.statistical
 CLEAR = 1e-6

@@ -12,7 +12,14 @@ from causticmpi.kernels import rng
 
 AXES = ("seed", "pass_index", "item", "counter", "dimension")
 COMPARISONS = 5 * len(AXES) + 5
-GOLDEN = [[13462529, 8827], [15014901, 531475], [14353225, 1161290], [3076236, 3623906], [12629925, 9541195], [10980351, 15464272]]
+GOLDEN = [
+    [13462529, 8827],
+    [15014901, 531475],
+    [14353225, 1161290],
+    [3076236, 3623906],
+    [12629925, 9541195],
+    [10980351, 15464272],
+]
 """First and second number, times 2^24, of each purpose and of a subkey."""
 
 

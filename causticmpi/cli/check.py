@@ -6,7 +6,7 @@ from causticmpi.cli.render import overrides
 from causticmpi.config.load import load_config, scene_path
 from causticmpi.output.directory import check_directory
 
-FILM_BYTES = 2 * 9 * 8 + 6 * 4
+FILM_BYTES = 2 * 12 * 8 + 6 * 4
 """Per pixel and rank: finished and pending sums (float64), one pass (float32)."""
 PHOTON_BYTES = 3 * 40
 """Per forecast photon and node, with overlaps of the clusters."""

@@ -1,5 +1,6 @@
 """A render from config to picture: rank 0 coordinates, every rank traces, the reducer merges sums."""
 
+import math
 import shlex
 import sys
 import time
@@ -26,7 +27,7 @@ from causticmpi.output.report import provenance
 from causticmpi.render.features import first_hits
 from causticmpi.render.film import Film, quantum_for
 from causticmpi.render.methods import make_method
-from causticmpi.render.rounds import Batches, deal
+from causticmpi.render.rounds import Batches, deal, equal_round
 from causticmpi.scene.content import with_camera
 from causticmpi.scene.data import SceneData
 from causticmpi.scene.load import load_scene
@@ -66,7 +67,7 @@ def render(world: World, read_request: Callable[[], Request]) -> int:
         config = request.config
         _warm_up(world, config, watch)
         with watch.stage("load"):
-            scene = share_scene(world, scene_data)
+            scene = share_scene(world, scene_data, config.watertight)
         run = _Run(world, request, scene, _claim(world, request), watch, flag)
         if not run.asked_to_stop():
             run.forecast()
@@ -182,15 +183,18 @@ class _Run:
                 print(f"causticmpi: warning: {warning}", file=sys.stderr)
 
     def trace(self) -> None:
-        """Rounds until the budget is spent: each is merged whole or dropped whole, the first is always finished."""
+        """Rounds until the budget is spent: each is merged whole or dropped whole, the first is always finished.
+
+        All rounds are of one length and the clock of the budget stands still while pictures are written: whatever lets
+        the cost of past rounds decide on later ones bends the picture (render.rounds).
+        """
         self._say("tracing")
-        passes = 1  # of the next round: the first one is as small as can be, since it must be finished
-        self._agree_on_the_clock()
+        length = passes = self._round_length()
+        self._start_the_clock()
         while passes > 0:
             began = time.perf_counter()
             dropped, self.stopped_by = self._trace_round(passes)
-            seconds = time.perf_counter() - began
-            self.watch.add("tracing", seconds)
+            self.watch.add("tracing", time.perf_counter() - began)
             if dropped:
                 break
             self.film.merge(self.pending)
@@ -198,22 +202,38 @@ class _Run:
             self.rounds += 1
             if self.stopped_by:
                 break
-            passes = self.world.broadcast(self._next_round(passes, seconds))
+            passes = self.world.broadcast(self._next_round(length))
             if passes > 0 and self.world.broadcast(self._picture_due()):
-                self._reduce_and_write()
+                self._write_in_between()
 
-    def _agree_on_the_clock(self) -> None:
-        """All ranks count from rank 0's start, whatever they waited for before."""
+    def _round_length(self) -> int:
+        """Collective. Passes of every round, from a pilot on all ranks at once."""
+        aim = ROUND_SECONDS if self.limit is None else max(0.05, min(ROUND_SECONDS, self.limit / 30))
+        self.world.barrier()
+        slowest = self.world.all_max(int(1e6 * self.batches.pilot_seconds()))
+        length = equal_round(slowest / 1e6, aim, self.world.size)
+        return min(length, self.config.budget.spp) if self.config.budget.spp is not None else length
+
+    def _start_the_clock(self) -> None:
+        """Collective. All ranks count from rank 0's start, whatever they waited for before; the time left is divided
+        into tracing and the writing of progressive pictures."""
         self.world.barrier()  # rank 0 would not wait: who comes late to the broadcast would be late ever after
         elapsed = self.world.broadcast(self.watch.elapsed())
-        self.clock_zero = time.monotonic() - elapsed
-        self.tracing_since = elapsed
+        now = time.monotonic()
+        self.clock_zero, self.tracing_zero, self.tracing_since = now - elapsed, now, elapsed
+        self.written_for = 0.0
+        self.for_writing = self.for_tracing = math.inf
+        if self.limit is not None:
+            left = max(0.0, self.limit - elapsed - self.reserve)
+            pictures = left // self.config.output.interval
+            self.for_writing = min(WRITE_SHARE * left, pictures * self.reserve)
+            self.for_tracing = left - self.for_writing
 
     def _elapsed(self) -> float:
         return time.monotonic() - self.clock_zero
 
     def _time_is_over(self) -> bool:
-        return self.limit is not None and self._elapsed() > self.limit - self.reserve
+        return time.monotonic() - self.tracing_zero - self.written_for > self.for_tracing
 
     def _must_stop(self) -> bool:
         if self.rounds == 0:
@@ -231,26 +251,24 @@ class _Run:
         dropped, signal = divmod(self.world.all_max(self.flag.raised + (0 if whole else DROPPED)), DROPPED)
         return dropped > 0, signal
 
-    def _next_round(self, passes: int, seconds: float) -> int:
-        """Passes of the next round; 0 ends the run. Rank 0's word counts.
-
-        Rounds of about a second, of whole passes per rank where that fits: the choice moves no sample, only the
-        number of passes that a budget has room for.
-        """
-        size = self.world.size
-        aim = ROUND_SECONDS if self.limit is None else max(0.25, min(ROUND_SECONDS, self.limit / 30))
-        wanted = max(1, int(passes * aim / max(seconds, 1e-9)))
-        wanted = min(wanted, 4 * passes)
-        if wanted > size:
-            wanted -= wanted % size
+    def _next_round(self, length: int) -> int:
+        """Passes of the next round; 0 ends the run. Rank 0's word counts."""
         if self.config.budget.spp is not None:
-            return min(wanted, self.config.budget.spp - self.film.passes)
-        return 0 if self._time_is_over() else wanted
+            return min(length, self.config.budget.spp - self.film.passes)
+        return 0 if self._time_is_over() else length
 
     def _picture_due(self) -> bool:
-        """A progressive picture each interval, or less often where writing costs more than its share of the time."""
-        interval = max(self.config.output.interval, self.write_cost / WRITE_SHARE)
-        return self._elapsed() - self.last_write > interval
+        """A progressive picture each interval, as far as the time for writing goes; without a time budget, less often
+        where writing costs more than its share."""
+        since = self._elapsed() - self.last_write
+        if self.limit is None:
+            return since > max(self.config.output.interval, self.write_cost / WRITE_SHARE)
+        return since > self.config.output.interval and self.written_for + self.write_cost <= self.for_writing
+
+    def _write_in_between(self) -> None:
+        began = time.monotonic()
+        self._reduce_and_write()
+        self.written_for += time.monotonic() - began
 
     def _show_progress(self) -> None:
         elapsed = self._elapsed()
@@ -269,7 +287,6 @@ class _Run:
             merged = Merged(sums, self.film.passes, int(counts[0]), int(counts[1]), memory)
             self.watch.add("write", self.result.write(merged, self.forecasting, self.watch))
         self.write_cost, self.last_write = self.world.broadcast((time.perf_counter() - began, self._elapsed()))
-        self.reserve = self.write_cost + leaving.expected_seconds(self.world.node_size)
 
     def finish(self) -> None:
         """Collective. The final picture; a run stopped before its first round was finished has none, and says so."""

@@ -29,7 +29,7 @@ class PreparedScene:
     brightest: float
 
 
-def share_scene(world: World, scene: SceneData | None) -> PreparedScene:
+def share_scene(world: World, scene: SceneData | None, watertight: bool = False) -> PreparedScene:
     """Collective. Rank 0's scene on every rank: arrays once per node, Embree's tree once per process."""
     arrays = None
     small = None
@@ -43,7 +43,7 @@ def share_scene(world: World, scene: SceneData | None) -> PreparedScene:
     fields_of_data: dict[str, Any] = {name: shared[name] for name in SceneData.ARRAYS}
     data = SceneData(**fields_of_data, **small)
     derived = {name.removeprefix("derived."): array for name, array in shared.items() if name.startswith("derived.")}
-    embree = EmbreeScene(data.vertices, data.triangles, data.spheres, padded=world.size > 1)
+    embree = EmbreeScene(data.vertices, data.triangles, data.spheres, padded=world.size > 1, watertight=watertight)
     return PreparedScene(data, embree, traced_scene(data, embree, derived), _extent(data), float(data.emission.max()))
 
 

@@ -143,29 +143,22 @@ def fill_table2(scene, maps, work, occupied, n, wo, material):
     total = ZERO
     lambert = scene.kind[material] == 0
     floor = FLOOR * vec.luminance(bsdf.albedo(scene, material)) * INV_PI
+    if lambert:
+        for r in range(maps.rows):
+            work.row_sum[r] = np.float32(maps.columns)
+        for i in range(occupied):
+            work.row_sum[work.bins[i] // maps.columns] -= ONE
     for r in range(maps.rows):
         cosine = (np.float32(r) + HALF) / np.float32(maps.rows)
         if lambert:
-            work.row_sum[r] = cosine * np.float32(maps.columns)
-            continue
-        work.row_sum[r] = ZERO
-        for c in range(maps.columns):
-            index = r * maps.columns + c
-            wi = vec.to_world(direction_in_bin(maps, index, HALF, HALF), n)
-            work.fill[index] = cosine * (vec.luminance(bsdf.evaluate(scene, material, n, wo, wi)) + floor)
-            work.row_sum[r] += ZERO if work.weight[index] > ZERO else work.fill[index]
-    for i in range(occupied):
-        if lambert:
-            r = work.bins[i] // maps.columns
-            work.row_sum[r] -= (np.float32(r) + HALF) / np.float32(maps.rows)
-    for r in range(maps.rows):
-        if work.row_sum[r] < np.float32(1e-6):  # a full row, or what rounding leaves of it
-            left = ZERO
+            work.row_sum[r] *= cosine  # of a count, which is exact: a full row weighs 0
+        else:
+            work.row_sum[r] = ZERO
             for c in range(maps.columns):
                 index = r * maps.columns + c
-                if work.weight[index] == ZERO:
-                    left += (np.float32(r) + HALF) / np.float32(maps.rows) if lambert else work.fill[index]
-            work.row_sum[r] = left
+                wi = vec.to_world(direction_in_bin(maps, index, HALF, HALF), n)
+                work.fill[index] = cosine * (vec.luminance(bsdf.evaluate(scene, material, n, wo, wi)) + floor)
+                work.row_sum[r] += ZERO if work.weight[index] > ZERO else work.fill[index]
         total += work.row_sum[r]
     return total
 

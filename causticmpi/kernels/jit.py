@@ -53,7 +53,10 @@ if "NUMBA_CACHE_DIR" not in os.environ:
     os.environ["NUMBA_CACHE_DIR"] = str(cache_directory())
 os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 
-import numba  # noqa: E402  (the cache folder must be named before numba reads its environment)
+import numba  # noqa: E402
+
+# numba reads its environment when it is first imported, which may have been before this module.
+numba.config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"]
 
 _njit: Any = numba.njit  # its stubs do not know `_nrt`
 FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}

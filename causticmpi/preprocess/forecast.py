@@ -95,7 +95,8 @@ def _overlaps(codebook, feature, cluster, gap, wanted, counts, cursor, rows):
             for c in range(6):
                 d = codebook[c, j] - feature[c, p]
                 d2 += d * d
-            if d2 - d_own <= gap[own, j]:
+            # j == own by name: rounding may differ between the two sums.
+            if j == own or d2 - d_own <= gap[own, j]:
                 if rows.shape[0] > 0:
                     rows[cursor[j]] = p
                     cursor[j] += 1

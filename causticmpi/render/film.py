@@ -2,7 +2,8 @@
 
 Every pass value is rounded to a multiple of a fixed power of two, `quantum`, before it is added in float64. As long as
 a sum stays below 2^53 quanta, float64 adds such numbers without rounding, so the order of addition cannot show. The
-quantum is 2^-40 of the brightest light, some 10^-12 of what is visible beside it.
+quantum is 2^-36 of the brightest light: 131,072 passes of a pixel that sees it are exact. Squares span twice the range
+and are kept in two parts, high and low.
 """
 
 import math
@@ -12,16 +13,18 @@ import numpy as np
 
 from causticmpi.kernels.jit import kernel
 
-CHANNELS = 9
-"""Per pixel: sum of L_d (3), sum of L_c (3), sum of squares of their total (3)."""
-QUANTUM_BITS = 40
+CHANNELS = 12
+"""Per pixel: sum of L_d (3), sum of L_c (3), sums of the high (3) and low (3) parts of the squares of their total."""
+QUANTUM_BITS = 36
+HIGH, LOW = 2.0**64, 2.0**24
+"""Steps of the two parts of a square, in squares of the quantum."""
 
 
 @kernel
 def _accumulate(pass_film, sums, quantum):
     """Add the pass film (n, 6) to the sums (n, CHANNELS) and blank it. Returns non-finite samples, counted as black."""
     inverse = 1.0 / quantum
-    inverse2 = inverse * inverse
+    high_step, low_step = quantum * quantum * HIGH, quantum * quantum * LOW
     bad = 0
     for i in range(pass_film.shape[0]):
         finite = True
@@ -36,15 +39,13 @@ def _accumulate(pass_film, sums, quantum):
             total = d + k
             sums[i, c] += np.rint(d * inverse) * quantum
             sums[i, 3 + c] += np.rint(k * inverse) * quantum
-            # Squares are rounded to the square of a coarser quantum: they feed the variance alone.
-            sums[i, 6 + c] += np.rint(total * total * (inverse2 * SQUARE_SCALE)) * (quantum * quantum / SQUARE_SCALE)
+            square = total * total
+            high = np.floor(square / high_step) * high_step
+            sums[i, 6 + c] += high
+            sums[i, 9 + c] += np.rint((square - high) / low_step) * low_step
             pass_film[i, c] = 0
             pass_film[i, 3 + c] = 0
     return bad
-
-
-SQUARE_SCALE = 2.0**-40
-"""Squares are kept to multiples of quantum^2 * 2^40."""
 
 
 @dataclass
@@ -93,5 +94,5 @@ def resolve(sums: np.ndarray, passes: int) -> tuple[np.ndarray, np.ndarray, np.n
     mean = diffusive + caustic
     if passes < 2:
         return diffusive, caustic, np.zeros_like(mean)
-    spread = np.maximum(sums[:, 6:] / passes - mean * mean, 0)
+    spread = np.maximum((sums[:, 6:9] + sums[:, 9:]) / passes - mean * mean, 0)
     return diffusive, caustic, spread / (passes - 1)

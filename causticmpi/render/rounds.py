@@ -1,8 +1,9 @@
 """Rounds of passes: how work is dealt out, and traced in short batches.
 
 A round is a run of passes merged whole or dropped whole, which is what keeps a time budget free of bias: averaging the
-finished rounds, the unfinished one dropped and the first always finished, is exactly unbiased, while finishing a round
-that the clock has overtaken, or merging what each rank happens to have, is not (tests/test_deadline.py).
+finished rounds of EQUAL length, the unfinished one dropped and the first always finished, is exactly unbiased. Finishing
+a round that the clock has overtaken, merging what each rank happens to have, or letting the length of rounds follow the
+cost of earlier ones is not (tests/test_deadline.py).
 """
 
 import time
@@ -44,6 +45,20 @@ def deal(first_pass: int, passes: int, tiles: int, size: int, rank: int) -> list
     return shares
 
 
+def equal_round(seconds_per_pass: float, aim: float, size: int) -> int:
+    """Passes of every round, so that one takes about `aim` seconds: whole passes per rank where that fits.
+
+    seconds_per_pass: what a pass costs one rank, from a pilot whose samples are thrown away.
+    """
+    passes = max(1, int(size * aim / max(seconds_per_pass, 1e-9)))
+    return passes - passes % size if passes > size else passes
+
+
+PILOT_PASS = 2**62
+"""A pass index that no picture uses."""
+PILOT_TILES = 256
+
+
 class Batches:
     """Traces shares in batches of about BATCH_SECONDS. The size of a batch follows the clock, the samples do not."""
 
@@ -52,6 +67,17 @@ class Batches:
         self.pixels = pixels
         self.pass_film = np.zeros((slots, 6), np.float32)
         self.rows = 16 * 64
+
+    def pilot_seconds(self) -> float:
+        """What a pass costs here, from tiles spread over the picture in a pass of no picture."""
+        tiles = self.pixels.reshape(-1, 16, self.pixels.shape[1])
+        some = tiles[:: max(1, len(tiles) // PILOT_TILES)]
+        began = time.perf_counter()
+        self.method.begin_pass(PILOT_PASS)
+        beginning = time.perf_counter() - began
+        self.method.trace(np.ascontiguousarray(some.reshape(-1, self.pixels.shape[1])), self.pass_film)
+        self.pass_film[:] = 0
+        return beginning + (time.perf_counter() - began - beginning) * len(tiles) / len(some)
 
     def trace(self, shares: list[Share], pending: Film, stop: Callable[[], bool]) -> bool:
         """Trace all shares into `pending`; False, with `pending` to be dropped, if `stop()` came true in between."""
@@ -68,6 +94,6 @@ class Batches:
                     self.pass_film[:] = 0
                     return False
                 wanted = self.rows * min(4.0, max(0.25, BATCH_SECONDS / seconds))
-                self.rows = max(16, int(wanted) // 16 * 16)
+                self.rows = min(len(self.pixels), max(16, int(wanted) // 16 * 16))
             pending.add_pass(self.pass_film)
         return True

@@ -1,0 +1,52 @@
+#!/usr/bin/env python3
+"""The README's picture: methods side by side after the same wall-clock time, each with its estimated relMSE.
+
+.venv/bin/python scripts/equal_time_picture.py docs/equal_time.png --time 60s -j 2 configs/ring.yaml configs/pool.yaml
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from PIL import Image, ImageDraw, ImageFont
+
+METHODS = {"pt": "path tracing", "iws+cf": "IWS + Caustic Forecasting"}
+BAR, SIDE = 34, 480
+
+
+def rendered(config: str, method: str, arguments: argparse.Namespace, folder: Path) -> tuple[Image.Image, str]:
+    """Run one method and return its picture and its caption."""
+    out = folder / f"{Path(config).stem}-{method}"
+    command = [sys.executable, "-m", "causticmpi", "render", config, "--method", method, "--out", str(out)]
+    subprocess.run([*command, "--time", arguments.time, "-j", str(arguments.ranks)], check=True)
+    report = json.loads((out / "report.json").read_text())
+    caption = f"{METHODS[method]}: {report['spp']:.0f} spp, relMSE {report['estimated_relmse']:.2g}"
+    print(f"{config}: {caption}")
+    return Image.open(out / "image.png").convert("RGB").resize((SIDE, SIDE)), caption
+
+
+def main() -> None:
+    """Render every config with every method and paste the pictures into one."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("picture", type=Path)
+    parser.add_argument("configs", nargs="+")
+    parser.add_argument("--time", default="60s")
+    parser.add_argument("-j", dest="ranks", type=int, default=2)
+    arguments = parser.parse_args()
+    sheet = Image.new("RGB", (SIDE * len(METHODS), (SIDE + BAR) * len(arguments.configs)), "white")
+    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=18)
+    with tempfile.TemporaryDirectory() as folder:
+        for row, config in enumerate(arguments.configs):
+            for column, method in enumerate(METHODS):
+                image, caption = rendered(config, method, arguments, Path(folder))
+                x, y = column * SIDE, row * (SIDE + BAR)
+                sheet.paste(image, (x, y + BAR))
+                draw.text((x + 8, y + 6), caption, fill="black", font=font)
+    sheet.save(arguments.picture)
+
+
+if __name__ == "__main__":
+    main()

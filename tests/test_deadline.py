@@ -1,0 +1,188 @@
+"""A time budget must not bend the picture: which rule for the last round is unbiased, on a toy whose cost is its value.
+
+The toy's passes take as long as they are bright (exponential, mean 1), which no scene does but which lays bare any rule
+that prefers cheap passes. Real dealing, batches, films and the run's own loop are driven by a clock that the toy winds
+on. Known-bad rules show their bias in the same harness: were the good one bad, it would show.
+
+Why merging whole rounds of EQUAL length is exact, the first always finished: that k rounds were merged says that their
+costs sum up to less than the budget and those of k + 1 do not, which is symmetric in the first k rounds. So given k the
+expected mean of the merged rounds is that of the first one, and so over all k.
+"""
+
+from collections.abc import Callable
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from rendering import make_config
+
+from causticmpi.distributed import job
+from causticmpi.distributed.world import SerialWorld
+from causticmpi.render import rounds
+from causticmpi.render.film import Film
+from causticmpi.render.rounds import Batches, deal
+
+pytestmark = pytest.mark.statistical
+TILES = 4
+PIXELS = np.zeros((16 * TILES, 4), np.int32)
+QUANTUM = 2.0**-40
+BUDGET = 15.0
+"""Seconds of the toy, whose passes take 1 s on average."""
+RUNS = 5000
+CERTAIN = 4.0
+"""Standard errors: a right rule exceeds them with 1 seed of 16 000."""
+
+
+class Clock:
+    """In place of the `time` module: seconds pass where the toy says so."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def perf_counter(self) -> float:
+        return self.now
+
+    def monotonic(self) -> float:
+        return self.now
+
+
+class Toy:
+    """A method whose pass i takes value[i] seconds and shows value[i] in every pixel."""
+
+    def __init__(self, clock: Clock) -> None:
+        self.clock = clock
+        self.value = np.zeros(0)
+        self.pass_index = 0
+
+    def begin_pass(self, pass_index: int) -> int:
+        self.pass_index = pass_index
+        return 0
+
+    def trace(self, pixels: np.ndarray, film: np.ndarray) -> int:
+        share = len(pixels) / len(PIXELS)
+        self.clock.now += self.value[self.pass_index] * share
+        film[0, 0] += np.float32(self.value[self.pass_index] * share)
+        return 0
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    made = Clock()
+    monkeypatch.setattr(rounds, "time", made)
+    monkeypatch.setattr(job, "time", made)
+    return made
+
+
+def bias(estimate: Callable[[np.ndarray], float], passes: int, runs: int = RUNS) -> tuple[float, float]:
+    """Mean error of the estimates of a mean of 1, and its standard error.
+
+    The mean of the first `passes` values, whose expectation is known, takes most of the noise away (control variate).
+    """
+    random = np.random.default_rng(3)
+    values = random.exponential(1.0, (runs, 40 * passes))
+    found = np.array([estimate(v) for v in values])
+    control = values[:, :passes].mean(axis=1) - 1
+    left = found - np.cov(found, control)[0, 1] / control.var(ddof=1) * control
+    error = float(left.std(ddof=1) / np.sqrt(runs))
+    print(f"\nbias {100 * (left.mean() - 1):+.2f} +- {100 * error:.2f} %")
+    return float(left.mean() - 1), error
+
+
+class SerialRun(job._Run):
+    """The run's own loop and decisions, without a scene, files or a terminal."""
+
+    def __init__(self, toy: Toy, budget: float) -> None:
+        self.world, self.flag = SerialWorld(), SimpleNamespace(raised=0)
+        self.config = make_config(method="pt", budget={"time": budget})
+        self.watch = SimpleNamespace(elapsed=lambda: 0.0, add=lambda name, seconds: None)
+        self.pixels, self.limit, self.reserve = PIXELS, budget, 0.0
+        self.film, self.pending = Film(1, QUANTUM), Film(1, QUANTUM)
+        self.batches = Batches(toy, PIXELS, 1)
+        self.rounds = self.stopped_by = 0
+
+    def _say(self, stage: str) -> None: ...
+
+    def _round_length(self) -> int:
+        return 1  # the pilot would wind the toy's clock on
+
+    def _show_progress(self) -> None: ...
+
+    def _picture_due(self) -> bool:
+        return False
+
+
+def test_the_run_itself(clock: Clock) -> None:
+    """The real loop, on one rank."""
+    toy = Toy(clock)
+
+    def estimate(value: np.ndarray) -> float:
+        clock.now, toy.value = 0.0, value
+        run = SerialRun(toy, BUDGET)
+        run.trace()
+        return run.film.sums[0, 0] / run.film.passes
+
+    found, error = bias(estimate, 14, 4 * RUNS)
+    assert abs(found) < CERTAIN * error
+    assert error < 0.002
+
+
+@pytest.mark.parametrize(("size", "passes"), [(1, 1), (1, 2), (4, 4), (4, 1), (3, 2)])
+def test_equal_rounds(clock: Clock, size: int, passes: int) -> None:
+    """Rounds of `passes` passes dealt to `size` ranks that wait for each other; dropped whole if any rank is late."""
+    toy = Toy(clock)
+    film, pending = Film(1, QUANTUM), Film(1, QUANTUM)
+    budget = 12.0 * passes / size
+
+    def estimate(value: np.ndarray) -> float:
+        began, toy.value, batches = 0.0, value, Batches(toy, PIXELS, 1)
+        film.clear()
+        while True:
+            whole, ends = True, []
+            pending.clear()
+            for rank in range(size):
+                clock.now = began
+                shares = deal(film.passes, passes, TILES, size, rank)
+                late = (lambda: clock.now > budget) if film.passes else (lambda: False)
+                whole = batches.trace(shares, pending, late) and whole
+                ends.append(clock.now)
+            began = max(ends)
+            if not whole:
+                break
+            film.merge(pending)
+            film.passes += passes
+            if began > budget:
+                break
+        return film.sums[0, 0] / film.passes
+
+    found, error = bias(estimate, 8 * passes)
+    assert abs(found) < CERTAIN * error
+    assert error < 0.005
+
+
+def finish_the_running_pass(value: np.ndarray) -> float:
+    return value[: np.searchsorted(value.cumsum(), BUDGET) + 1].mean()
+
+
+def start_none_that_would_not_fit(value: np.ndarray) -> float:
+    ends = value.cumsum()
+    passes = 1
+    while ends[passes - 1] * (1 + 1 / passes) <= BUDGET:  # as long as the mean so far
+        passes += 1
+    return value[:passes].mean()
+
+
+def pool_what_each_rank_has(value: np.ndarray) -> float:
+    streams = value.reshape(4, -1)
+    counts = [max(1, int(np.searchsorted(stream.cumsum(), BUDGET))) for stream in streams]
+    return sum(stream[:n].sum() for stream, n in zip(streams, counts, strict=True)) / sum(counts)
+
+
+@pytest.mark.parametrize(
+    ("rule", "least"),
+    [(finish_the_running_pass, 0.04), (start_none_that_would_not_fit, 0.03), (pool_what_each_rank_has, -0.04)],
+)
+def test_known_bad_rules_show(rule: Callable[[np.ndarray], float], least: float) -> None:
+    """They are off by several percent, in the direction that estimators with such rules are known to be off."""
+    found, error = bias(rule, 14)
+    assert abs(found) > abs(least) and found * least > 0
+    assert abs(found) > CERTAIN * error
