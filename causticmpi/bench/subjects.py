@@ -11,7 +11,7 @@ from causticmpi.config.load import load_config, scene_path
 from causticmpi.distributed.clock import Stopwatch
 from causticmpi.distributed.prepare import prepare_forecast, share_scene
 from causticmpi.distributed.world import SerialWorld
-from causticmpi.estimators import iws_cf
+from causticmpi.estimators import full_radiance
 from causticmpi.kernels.embree import (
     GEOM,
     LANES,
@@ -37,10 +37,10 @@ def _see_and_gather(scene, camera, work, pixels, pass_index, lights, count, boun
     """First vertices and their virtual lights, for whole tiles. Returns (rays to see, shadow rays)."""
     seen, shadows = 0, 0
     for first in range(0, pixels.shape[0], LANES):
-        used, rays = iws_cf._see_tile(scene, camera, work, pixels, first, 1, pass_index)
+        used, rays = full_radiance.see_tile(scene, camera, work, pixels, first, 1, pass_index)
         seen += rays
         if used > 0 and count > 0:
-            shadows += iws_cf._gather_lights(scene, work, lights, count, np.float32(bound))
+            shadows += full_radiance.gather_lights(scene, work, lights, count, np.float32(bound))
     return seen, shadows
 
 

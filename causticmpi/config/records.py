@@ -59,18 +59,20 @@ class Iws(Record):
 class Forecast(Record):
     """Caustic Forecasting [CF sec. 3.2].
 
+    sampling: `mixture` (cones, cluster directions and BRDF, balance heuristic) or `two` (the paper's two tables);
     photons: caustic points to collect; clusters: codewords of the vector quantization; neighbours: n of the gather;
-    table: bins in azimuth and cosine; max_rank: clusters of a higher rank are sampled by the cosine alone;
-    splitting: samples of each table at rank 0 and diffuse depth 0; radius, overlap: gather radius and the epsilon
+    table: bins of `two` in azimuth and cosine; max_rank: clusters of a higher rank are not gathered from; splitting:
+    samples of each table, or of cones, at rank 0 and diffuse depth 0; radius, overlap: gather radius and the epsilon
     around a cluster in scene units, `auto` derives them from the average photon density.
     """
 
+    sampling: Literal["mixture", "two"] = "mixture"
     photons: Count = 200_000
     clusters: PositiveInt = 256
     neighbours: PositiveInt = 50
     table: tuple[PositiveInt, PositiveInt] = (32, 16)
     max_rank: Count = 8
-    splitting: PositiveInt = 4
+    splitting: PositiveInt = 2
     radius: Positive | Literal["auto"] = "auto"
     overlap: Positive | Literal["auto"] = "auto"
 

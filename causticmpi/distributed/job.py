@@ -13,7 +13,13 @@ import numpy as np
 from causticmpi.config.records import RenderConfig
 from causticmpi.distributed import leaving
 from causticmpi.distributed.clock import Stopwatch
-from causticmpi.distributed.prepare import Forecasting, PreparedScene, prepare_forecast, share_scene
+from causticmpi.distributed.prepare import (
+    Forecasting,
+    PreparedScene,
+    needs_forecast,
+    prepare_forecast,
+    share_scene,
+)
 from causticmpi.distributed.result import Merged, Result, peak_memory_mb
 from causticmpi.distributed.signals import StopFlag
 from causticmpi.distributed.warmup import warm_up
@@ -65,7 +71,7 @@ def render(world: World, read_request: Callable[[], Request]) -> int:
     with StopFlag() as flag:
         request, scene_data = _read_input(world, read_request, watch)
         config = request.config
-        _warm_up(world, config, watch)
+        _warm_up(world, config, scene_data, watch)
         with watch.stage("load"):
             scene = share_scene(world, scene_data, config.watertight)
         run = _Run(world, request, scene, _claim(world, request), watch, flag)
@@ -109,10 +115,11 @@ def _claim(world: World, request: Request) -> Claim | None:
     return claim
 
 
-def _warm_up(world: World, config: RenderConfig, watch: Stopwatch) -> None:
+def _warm_up(world: World, config: RenderConfig, scene: SceneData | None, watch: Stopwatch) -> None:
     """Compile once per node. Compiling lies outside the budget and is reported, loading compiled code lies within."""
     began = time.perf_counter()
-    compiled = world.first_on_node(lambda: warm_up(config, world.is_root))
+    forecasting = world.broadcast(scene is not None and needs_forecast(config, scene))
+    compiled = world.first_on_node(lambda: warm_up(config, world.is_root, forecasting))
     spent = time.perf_counter() - began
     watch.add("warmup", spent)
     if world.all_max(int(compiled)):

@@ -4,17 +4,17 @@ import numpy as np
 
 from causticmpi.config.records import Camera, RenderConfig
 from causticmpi.distributed.world import SerialWorld
-from causticmpi.estimators import iws_cf, path_tracing, virtual_lights
+from causticmpi.estimators import iws_cf, iws_mixture, path_tracing, virtual_lights
 from causticmpi.kernels import kdtree
 from causticmpi.kernels.embree import ray_buffer
 from causticmpi.kernels.jit import compiled_anew
 from causticmpi.kernels.pixels import pixel_order
-from causticmpi.preprocess import forecast, photons, vector_quantization
-from causticmpi.preprocess.forecast import build_forecast
+from causticmpi.preprocess import directions, forecast, photons, vector_quantization
+from causticmpi.preprocess.forecast import ForecastMaps, build_forecast
 from causticmpi.preprocess.photons import CausticPoints, shoot_photons
 from causticmpi.render import features, film
 from causticmpi.render.film import Film
-from causticmpi.render.methods import FORECASTING, make_method
+from causticmpi.render.methods import make_method
 from causticmpi.scene.data import SceneData
 from causticmpi.scene.tracing import camera_array
 
@@ -23,10 +23,12 @@ KERNELS = [
     path_tracing.trace_paths_brute,
     virtual_lights.trace_virtual_lights,
     iws_cf.trace_iws_cf,
+    iws_mixture.trace_iws_mixture,
     photons._shoot,
     vector_quantization._compete,
     vector_quantization.assign,
     forecast._overlaps,
+    directions._companion_cosines,
     kdtree.build_trees,
     film._accumulate,
     features.first_hits,
@@ -54,10 +56,21 @@ def tiny_scene() -> SceneData:
     )
 
 
-def warm_up(config: RenderConfig, root: bool) -> bool:
+def tiny_maps() -> ForecastMaps:
+    """One cluster without photons: all array types of real maps."""
+    return forecast.no_forecast()._replace(
+        codebook=np.zeros((6, 1), np.float32),
+        rank=np.zeros(1, np.int32),
+        start=np.zeros(2, np.int64),
+        coarse=np.ones((1, directions.COLUMNS * directions.ROWS), np.float32),
+        cone=np.zeros(1, np.float32),
+    )
+
+
+def warm_up(config: RenderConfig, root: bool, forecasting: bool) -> bool:
     """Run the kernels of the configured method on a tiny scene. True if anything had to be compiled.
 
-    root: also those only rank 0 needs (preprocess, features).
+    root: also those only rank 0 needs (features, preprocess); forecasting: the scene needs forecast maps.
     """
     from causticmpi.distributed.prepare import share_maps, share_scene
 
@@ -69,11 +82,11 @@ def warm_up(config: RenderConfig, root: bool) -> bool:
     rays = ray_buffer()
     if root:
         features.first_hits(scene.traced, camera, rays, pixels, np.zeros((16, 7), np.float32))
-    if root and config.method in FORECASTING:
+    if root and forecasting:
         shoot_photons(scene.traced, rays, 0, 1)
         points = CausticPoints(*(np.ones((4, 3), np.float32) for _ in range(4)))
         build_forecast(points, 0, 2, 2, (4, 4), 8, 1)
-    maps = share_maps(world, forecast.no_forecast())
+    maps = share_maps(world, tiny_maps() if forecasting else forecast.no_forecast())
     method = make_method(config, scene.traced, camera, maps, 1.0)
     method.begin_pass(0)
     pass_film = np.zeros((16, 6), np.float32)

@@ -56,7 +56,8 @@ os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 import numba  # noqa: E402
 
 # numba reads its environment when it is first imported, which may have been before this module.
-numba.config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"]
+numba_config: Any = numba.config
+numba_config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"]
 
 _njit: Any = numba.njit  # its stubs do not know `_nrt`
 FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}

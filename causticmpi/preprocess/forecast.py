@@ -9,6 +9,7 @@ import numpy as np
 
 from causticmpi.kernels import kdtree
 from causticmpi.kernels.jit import inline, kernel
+from causticmpi.preprocess.directions import COLUMNS, ROWS, coarse_tables, cone_cosines
 from causticmpi.preprocess.photons import CausticPoints
 from causticmpi.preprocess.vector_quantization import assign, features, learn_codebook
 
@@ -22,6 +23,8 @@ class ForecastMaps(NamedTuple):
     codebook (6, m) float32: the cluster map, codewords in feature space (position, normal * normal_scale)
     rank (m,) int32: energy rank of each cluster; start (m+1,) int64: its rows of the forecast map
     x, y, z, power (k,) float32, direction (k, 3) float32, axis (k,) uint8: forecast photons in tree order
+    coarse (m, bins) float32: running sums of each cluster's directions; cone (m,) float32: cosine of its cones' half
+    angle (see directions.py)
     normal_scale, radius: scene units; columns, rows: bins of the directional tables; neighbours: n
     """
 
@@ -34,6 +37,8 @@ class ForecastMaps(NamedTuple):
     direction: Any
     power: Any
     axis: Any
+    coarse: Any
+    cone: Any
     normal_scale: float
     radius: float
     max_rank: int
@@ -146,6 +151,7 @@ def build_forecast(
     position = np.ascontiguousarray(points.position.T)
     kdtree.build_trees(position, start, order, axis, np.zeros(2 * kdtree.MAX_DEPTH, np.int64))
     x, y, z = position[:, order]
+    direction = points.direction[order]
     maps = ForecastMaps(
         codebook=codebook,
         rank=rank,
@@ -153,9 +159,11 @@ def build_forecast(
         x=x,
         y=y,
         z=z,
-        direction=points.direction[order],
+        direction=direction,
         power=power[order].astype(np.float32),
         axis=axis,
+        coarse=coarse_tables(points.direction, power, cluster, count),
+        cone=cone_cosines((x, y, z), axis, direction, start, radius, neighbours),
         normal_scale=scale,
         radius=radius,
         max_rank=max_rank,
@@ -181,6 +189,8 @@ def no_forecast(table: tuple[int, int] = (32, 16)) -> ForecastMaps:
         direction=np.empty((0, 3), np.float32),
         power=floats,
         axis=np.empty(0, np.uint8),
+        coarse=np.empty((0, COLUMNS * ROWS), np.float32),
+        cone=floats,
         normal_scale=1.0,
         radius=1.0,
         max_rank=0,

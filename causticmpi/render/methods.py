@@ -10,7 +10,11 @@ from typing import Any, Protocol
 import numpy as np
 
 from causticmpi.config.records import RenderConfig
-from causticmpi.estimators.iws_cf import pass_work, trace_iws_cf
+from causticmpi.estimators.caustic_forecast import forecast_work
+from causticmpi.estimators.caustic_mixture import mixture_work
+from causticmpi.estimators.full_radiance import pass_work
+from causticmpi.estimators.iws_cf import trace_iws_cf
+from causticmpi.estimators.iws_mixture import trace_iws_mixture
 from causticmpi.estimators.path_tracing import trace_paths, trace_paths_brute
 from causticmpi.estimators.virtual_lights import empty_virtual_lights, trace_virtual_lights
 from causticmpi.kernels.embree import ray_buffer
@@ -66,13 +70,16 @@ class WeakSingularities:
     few: int
     bound: float
     caustics: bool
+    mixture: bool
     pass_index: int = 0
     lights: Any = None
     light_count: int = 0
 
     def __post_init__(self) -> None:
         self.rays = ray_buffer()
-        self.work = pass_work(self.maps)
+        # Without a cluster there is nothing to mix: the first kernel samples by the BRDF alone then.
+        self.mixture = self.mixture and self.caustics and self.maps.codebook.shape[1] > 0
+        self.work = pass_work(mixture_work(self.maps) if self.mixture else forecast_work(self.maps))
         self.peak = most_peak(self.scene)
         self.lights = empty_virtual_lights(8 * self.paths)
 
@@ -86,22 +93,12 @@ class WeakSingularities:
             self.lights = empty_virtual_lights(2 * count)
 
     def trace(self, pixels: np.ndarray, film: np.ndarray) -> int:
-        rays, lost = trace_iws_cf(
-            self.scene,
-            self.camera,
-            self.work,
-            pixels,
-            self.seed,
-            self.pass_index,
-            self.lights,
-            self.light_count,
-            self.maps,
-            self.few,
-            self.bound,
-            self.peak,
-            self.caustics,
-            film,
-        )
+        eye = (self.scene, self.camera, self.work, pixels, self.seed, self.pass_index)
+        light = (self.lights, self.light_count, self.maps, self.few, self.bound)
+        if self.mixture:
+            rays, lost = trace_iws_mixture(*eye, *light, film)
+        else:
+            rays, lost = trace_iws_cf(*eye, *light, self.peak, self.caustics, film)
         if lost:
             raise RuntimeError(f"{lost} path vertices did not fit the stack: the picture would be biased")
         return rays
@@ -125,6 +122,7 @@ def make_method(
         config.iws.deep_lights,
         bound,
         caustics=config.method == "iws+cf",
+        mixture=config.forecast.sampling == "mixture",
     )
 
 

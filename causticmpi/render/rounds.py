@@ -1,9 +1,9 @@
 """Rounds of passes: how work is dealt out, and traced in short batches.
 
 A round is a run of passes merged whole or dropped whole, which is what keeps a time budget free of bias: averaging the
-finished rounds of EQUAL length, the unfinished one dropped and the first always finished, is exactly unbiased. Finishing
-a round that the clock has overtaken, merging what each rank happens to have, or letting the length of rounds follow the
-cost of earlier ones is not (tests/test_deadline.py).
+finished rounds of EQUAL length, the unfinished one dropped and the first always finished, is exactly unbiased.
+Finishing a round that the clock has overtaken, merging what each rank happens to have, or letting the length of rounds
+follow the cost of earlier ones is not (tests/test_deadline.py).
 """
 
 import time

@@ -1,0 +1,166 @@
+"""Caustic directions from a mixture under the balance heuristic: samplers, each beside its pdf (solid angle).
+
+  fine    narrow cones around the directions of the photons gathered near by;
+  coarse  the aggregated directions of the whole cluster, a table made in the preprocess: O(1), and silent nowhere;
+  brdf    `bsdf.sample`, which reaches every direction: with a share of it the estimate is unbiased whatever the
+          photons are.
+The paper's bins are wider than many lights look through a lens; cones are as wide as photons near by disagree.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from causticmpi.kernels import bsdf, vec
+from causticmpi.kernels.embree import LANES
+from causticmpi.kernels.jit import inline
+from causticmpi.kernels.kdtree import MAX_DEPTH, nearest
+from causticmpi.kernels.vec import HALF, INV_TWO_PI, ONE, TWO, TWO_PI, ZERO
+from causticmpi.kernels.warp import pick
+from causticmpi.preprocess.directions import COLUMNS, ROWS
+from causticmpi.preprocess.forecast import ForecastMaps, cluster_of
+
+
+class MixtureWork(NamedTuple):
+    """Workspace: what was gathered for the up to 16 groups of a tile.
+
+    photons (16, 4, n) float32: direction and power of each group's photons; count (16,); cone (16,) float32: cosine of
+    the half angle; cluster (16,); group (16,): group of each lane, -1 out of use; cdf (n,): running sum of one vertex.
+    codeword_distance (m,), distance, row (n,), stack, plane: search.
+    """
+
+    photons: Any
+    count: Any
+    cone: Any
+    cluster: Any
+    group: Any
+    cdf: Any
+    codeword_distance: Any
+    distance: Any
+    row: Any
+    stack: Any
+    plane: Any
+
+
+def mixture_work(maps: ForecastMaps) -> MixtureWork:
+    """Workspace that fits the maps."""
+    n = maps.neighbours
+    return MixtureWork(
+        photons=np.zeros((LANES, 4, n), np.float32),
+        count=np.zeros(LANES, np.int64),
+        cone=np.zeros(LANES, np.float32),
+        cluster=np.zeros(LANES, np.int64),
+        group=np.zeros(LANES, np.int64),
+        cdf=np.zeros(n, np.float32),
+        codeword_distance=np.zeros(maps.codebook.shape[1], np.float32),
+        distance=np.zeros(n, np.float32),
+        row=np.zeros(n, np.int64),
+        stack=np.zeros(2 * MAX_DEPTH, np.int32),
+        plane=np.zeros(MAX_DEPTH, np.float32),
+    )
+
+
+@inline
+def gather_group(maps, work, group, p, n):
+    """Gather the at most n nearest photons around p, for a group of lanes; none outside the ranked clusters."""
+    cluster = cluster_of(maps, p, n, work.codeword_distance)
+    radius = np.float32(maps.radius)
+    k = 0
+    if maps.rank[cluster] <= maps.max_rank:
+        k = nearest(
+            maps.x,
+            maps.y,
+            maps.z,
+            maps.axis,
+            maps.start[cluster],
+            maps.start[cluster + 1],
+            p,
+            radius * radius,
+            maps.neighbours,
+            work.distance,
+            work.row,
+            work.stack,
+            work.plane,
+        )
+    for i in range(k):
+        photon = work.row[i]
+        for c in range(3):
+            work.photons[group, c, i] = maps.direction[photon, c]
+        work.photons[group, 3, i] = maps.power[photon]
+    work.count[group] = k
+    work.cone[group] = maps.cone[cluster]
+    work.cluster[group] = cluster
+
+
+@inline
+def weigh_fine(scene, work, group, n, wo, material):
+    """Weigh a group's photons by power, BRDF and cosine at one vertex. Returns their sum, 0 where none counts."""
+    total = ZERO
+    lambert = scene.kind[material] == 0
+    for i in range(work.count[group]):
+        wi = (work.photons[group, 0, i], work.photons[group, 1, i], work.photons[group, 2, i])
+        w = max(ZERO, vec.dot(n, wi)) * work.photons[group, 3, i]
+        if w > ZERO and not lambert:
+            w *= vec.luminance(bsdf.evaluate(scene, material, n, wo, wi))
+        total += w
+        work.cdf[i] = total
+    return total
+
+
+@inline
+def sample_fine(work, group, total, choice, u, v):
+    """Uniform direction in the cone around a photon chosen by weight; total > 0. It may lie below the horizon."""
+    i = pick(work.cdf[: work.count[group]], choice * total)
+    axis = (work.photons[group, 0, i], work.photons[group, 1, i], work.photons[group, 2, i])
+    cosine = ONE - u * (ONE - work.cone[group])
+    sine = math.sqrt(max(ZERO, ONE - cosine * cosine))
+    phi = TWO_PI * v
+    return vec.to_world((sine * math.cos(phi), sine * math.sin(phi), cosine), axis)
+
+
+@inline
+def fine_pdf(work, group, total, direction):
+    """Density of `sample_fine`."""
+    if total <= ZERO:
+        return ZERO
+    edge = work.cone[group]
+    inside, before = ZERO, ZERO
+    for i in range(work.count[group]):
+        cosine = (
+            work.photons[group, 0, i] * direction[0]
+            + work.photons[group, 1, i] * direction[1]
+            + work.photons[group, 2, i] * direction[2]
+        )
+        inside += work.cdf[i] - before if cosine >= edge else ZERO
+        before = work.cdf[i]
+    return inside / total * INV_TWO_PI / (ONE - edge)
+
+
+@inline
+def coarse_bin(direction):
+    """Bin of a unit direction: azimuth and height about the world's z axis, equal solid angles."""
+    phi: Any = math.atan2(direction[1], direction[0])
+    phi = phi + TWO_PI if phi < ZERO else phi
+    column = min(COLUMNS - 1, np.int64(phi * (np.float32(COLUMNS) / TWO_PI)))
+    row = max(0, min(ROWS - 1, np.int64((direction[2] + ONE) * (HALF * np.float32(ROWS)))))
+    return row * COLUMNS + column
+
+
+@inline
+def sample_coarse(maps, cluster, choice, u, v):
+    """Direction from all caustic points of a cluster, uniform within its bin. It may lie below the horizon."""
+    chosen: Any = pick(maps.coarse[cluster], choice)
+    row = chosen // COLUMNS
+    z = (np.float32(row) + u) * (TWO / np.float32(ROWS)) - ONE
+    phi = (np.float32(chosen - row * COLUMNS) + v) * (TWO_PI / np.float32(COLUMNS))
+    r = math.sqrt(max(ZERO, ONE - z * z))
+    return r * math.cos(phi), r * math.sin(phi), z
+
+
+@inline
+def coarse_pdf(maps, cluster, direction):
+    """Density of `sample_coarse`."""
+    i = coarse_bin(direction)
+    before = maps.coarse[cluster, i - 1] if i > 0 else ZERO
+    return (maps.coarse[cluster, i] - before) * (np.float32(COLUMNS * ROWS) * HALF * INV_TWO_PI)
