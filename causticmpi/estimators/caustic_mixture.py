@@ -142,8 +142,8 @@ def coarse_bin(direction):
     """Bin of a unit direction: azimuth and height about the world's z axis, equal solid angles."""
     phi: Any = math.atan2(direction[1], direction[0])
     phi = phi + TWO_PI if phi < ZERO else phi
-    column = min(COLUMNS - 1, np.int64(phi * (np.float32(COLUMNS) / TWO_PI)))
-    row = max(0, min(ROWS - 1, np.int64((direction[2] + ONE) * (HALF * np.float32(ROWS)))))
+    column: Any = min(COLUMNS - 1, np.int64(phi * (np.float32(COLUMNS) / TWO_PI)))
+    row: Any = max(0, min(ROWS - 1, np.int64((direction[2] + ONE) * (HALF * np.float32(ROWS)))))
     return row * COLUMNS + column
 
 
