@@ -51,7 +51,7 @@ class Iws(Record):
     deep_lights: virtual lights looked at from the second diffuse vertex on (an unbiased random subset).
     """
 
-    paths: PositiveInt = 16
+    paths: PositiveInt = 8
     bound: Positive | Literal["auto"] = "auto"
     deep_lights: PositiveInt = 4
 

@@ -9,7 +9,7 @@ COLUMNS, ROWS = 32, 32
 """Bins of the whole sphere: azimuth about z, height; equal solid angles."""
 PROBES = 32
 """Photons asked per cluster."""
-COMPANIONS = 4
+COMPANIONS = 8
 """A cone is as wide as it takes to hold this many other photons of the same gather."""
 NARROWEST, WIDEST = np.radians(0.25), np.radians(30.0)
 
