@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from causticmpi.render.film import CHANNELS, LOW, Film, quantum_for, resolve
-from causticmpi.render.rounds import deal
+from causticmpi.render.rounds import Batches, Share, deal, equal_round
 
 SLOTS, PASSES = 40, 64
 QUANTUM = quantum_for(15.0)
@@ -159,9 +159,9 @@ def test_add_pass_blanks_the_pass_film_and_clear_the_film() -> None:
 
 @pytest.mark.parametrize("brightest", [1e-6, 0.7, 1.0, 15.0, 16.0, 1e9])
 def test_quantum(brightest: float) -> None:
-    """A power of two, between 2^-40 and 2^-39 of the brightest light."""
+    """A power of two, between 2^-36 and 2^-35 of the brightest light."""
     quantum = quantum_for(brightest)
-    assert np.frexp(quantum)[0] == 0.5 and 2.0**-40 <= quantum / brightest < 2.0**-39
+    assert np.frexp(quantum)[0] == 0.5 and 2.0**-36 <= quantum / brightest < 2.0**-35
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 4, 7, 16, 61])
@@ -179,3 +179,58 @@ def test_deal_covers_every_tile_once(size: int) -> None:
             loads.append(sum(s.last - s.first for s in shares) // 16)
         assert (seen == 1).all()
         assert max(loads) - min(loads) <= 1
+
+
+class Idle:
+    """A method that does nothing but note the rows it was asked for."""
+
+    def __init__(self) -> None:
+        self.begun: list[int] = []
+        self.rows: list[int] = []
+
+    def begin_pass(self, pass_index: int) -> int:
+        self.begun.append(pass_index)
+        return 1
+
+    def trace(self, pixels: np.ndarray, film: np.ndarray) -> int:
+        self.rows.append(len(pixels))
+        return 2
+
+
+def test_a_thousand_shares_of_one_batch() -> None:
+    """Batches grow fourfold where a share takes no time, but not without end; every row is traced."""
+    method, film = Idle(), Film(4, QUANTUM)
+    batches = Batches(method, np.zeros((64, 4), np.int32), 4)
+    assert batches.trace([Share(i, 16, 48) for i in range(1000)], film, lambda: False)
+    assert method.begun == list(range(1000)) and method.rows == [32] * 1000 and film.rays == 3000
+    assert 16 <= batches.rows <= 64
+
+
+def test_a_batch_is_followed_by_a_look_at_the_clock() -> None:
+    """A share that is stopped is given up at once, and nothing of it stays on the pass film."""
+    method, film = Idle(), Film(4, QUANTUM)
+    batches = Batches(method, np.zeros((16 * 1024, 4), np.int32), 4)
+    batches.pass_film[:] = 1
+    assert not batches.trace([Share(0, 0, 16 * 1024), Share(1, 0, 16)], film, lambda: True)
+    assert len(method.rows) == 1 and not batches.pass_film.any() and not film.sums.any()
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 7, 20])
+def test_rounds_take_what_is_aimed_at(size: int) -> None:
+    """Rounds of many cheap passes give each rank whole passes and all of the time; of dear passes, part of one."""
+    for seconds in (1e-9, 1e-3, 0.01, 0.1, 0.3, 1.0, 30.0, 1e6):
+        for aim in (0.05, 1.0):
+            passes = equal_round(seconds, aim, size)
+            assert passes >= 1 and (passes < size or passes % size == 0)
+            if passes > 1:  # never longer than the aim
+                assert passes * seconds / size <= aim * (1 + 1e-9)
+            if seconds < aim / 4:  # and not much shorter: at most one pass of each rank
+                assert (passes / size + 1) * seconds > aim * (1 - 1e-9)
+    assert equal_round(0.0, 1.0, size) >= 1
+
+
+def test_rounds_of_one_and_of_twenty_ranks() -> None:
+    assert [equal_round(0.3, 1.0, size) for size in (1, 20)] == [3, 60]
+    assert [equal_round(0.125, 1.0, size) for size in (1, 20)] == [8, 160]
+    assert [equal_round(4.0, 1.0, size) for size in (1, 20)] == [1, 5]
+    assert [equal_round(100.0, 1.0, size) for size in (1, 20)] == [1, 1]

@@ -4,6 +4,7 @@ It stays so with lossless mirrors and glass inside, and, if the walls below emit
 splitting L into L_d and L_c must give it, for any bound b, any forecast however wrong and any number of virtual lights.
 """
 
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from causticmpi.config.records import RenderConfig
 from causticmpi.distributed.clock import Stopwatch
 from causticmpi.distributed.prepare import prepare_forecast
 from causticmpi.distributed.world import SerialWorld
+from causticmpi.preprocess.directions import NARROWEST, WIDEST
 from causticmpi.preprocess.forecast import ForecastMaps
 from causticmpi.scene.data import SceneData
 
@@ -24,6 +26,8 @@ LARGEST_Z = 4.0
 """Of 8 x 8 blocks of pixels: were their means normal, a correct renderer would exceed it with 0.4 % of seeds."""
 LARGEST_ERROR = 0.002
 """Relative standard error of the picture's mean: what a test must resolve."""
+
+SAMPLINGS = ("mixture", "two")
 
 SPHERES = """
   - {type: sphere, center: [-0.5, -0.55, -0.3], radius: 0.4, material: mirror}
@@ -85,7 +89,8 @@ def check(scene: SceneData, config: RenderConfig, truth: float, passes: int, map
     error = relative_error(blocks)
     verdict = compare_with_truth(blocks, truth)
     overall = compare_with_truth(blocks.mean(axis=1, keepdims=True), truth)
-    print(f"\n{config.method}: blocks {verdict}; picture z {overall.z:.2f}; relative error {error:.2e}")
+    name = f"{config.method}, {config.forecast.sampling}"
+    print(f"\n{name}: blocks {verdict}; picture z {overall.z:.2f}; relative error {error:.2e}")
     assert error <= LARGEST_ERROR
     assert verdict.z < LARGEST_Z, verdict
     assert overall.z < LARGEST_Z, f"picture's mean {blocks.mean():.5f} instead of {truth:.5f}"
@@ -112,7 +117,22 @@ def poisoned(scene: SceneData, config: RenderConfig, how: str) -> ForecastMaps:
             random.shuffle(arrays[axis])
     elif how == "random powers":
         arrays["power"][:] = np.exp(random.normal(0, 1, count))
+    elif how == "tables of another cluster":
+        arrays["coarse"][:] = np.roll(arrays["coarse"], 5, axis=0)
+    elif how == "narrowest cones":
+        arrays["cone"][:] = np.cos(NARROWEST)
+    elif how == "widest cones":
+        arrays["cone"][:] = np.cos(WIDEST)
+    elif how == "garbage":
+        wrong = random.normal(size=(count, 3))
+        arrays["direction"][:] = wrong / np.linalg.norm(wrong, axis=1)[:, None]
+        arrays["power"][:] = np.exp(random.normal(0, 3, count))
+        arrays["cone"][:] = np.cos(random.uniform(NARROWEST, WIDEST, len(arrays["cone"])))
+        weight = random.exponential(size=arrays["coarse"].shape) ** 4 * (random.random(arrays["coarse"].shape) < 0.3)
+        arrays["coarse"][:] = np.minimum(np.cumsum(weight, axis=1) / weight.sum(axis=1, keepdims=True), 1)
+        arrays["coarse"][:, -1] = 1
     else:
+        assert how == "no power"
         arrays["power"][:] = 0
     for name, array in arrays.items():  # else the kernels would be compiled for another type
         array.setflags(write=getattr(maps, name).flags.writeable)
@@ -130,28 +150,39 @@ def test_paths_in_a_room_with_mirror_and_glass(tmp_path: Path, method: str, rho:
     check(scene_from(room(rho), tmp_path), settings(method), 1 / (1 - rho), 700)
 
 
+@pytest.mark.parametrize("sampling", SAMPLINGS)
 @pytest.mark.parametrize(("rho", "side", "paths", "passes"), [(0.5, 16, 32, 700), (0.8, 8, 64, 3000)])
-def test_room_with_mirror_and_glass(tmp_path: Path, rho: float, side: int, paths: int, passes: int) -> None:
-    check(scene_from(room(rho), tmp_path), settings("iws+cf", {"paths": paths}, side=side), 1 / (1 - rho), passes)
+def test_room_with_mirror_and_glass(
+    tmp_path: Path, rho: float, side: int, paths: int, passes: int, sampling: str
+) -> None:
+    config = settings("iws+cf", {"paths": paths}, {"sampling": sampling}, side)
+    check(scene_from(room(rho), tmp_path), config, 1 / (1 - rho), passes)
 
 
-@pytest.mark.parametrize("method", ["pt", "pt-brute", "iws+cf"])
-def test_room_half_under_water(tmp_path: Path, method: str) -> None:
-    check(scene_from(room(0.5, below=1.33**2, inside=UNDER_WATER), tmp_path), settings(method), 2.0, 800)
+@pytest.mark.parametrize(
+    ("method", "sampling"), [("pt", "two"), ("pt-brute", "two"), *(("iws+cf", sampling) for sampling in SAMPLINGS)]
+)
+def test_room_half_under_water(tmp_path: Path, method: str, sampling: str) -> None:
+    config = settings(method, forecast={"sampling": sampling})
+    check(scene_from(room(0.5, below=1.33**2, inside=UNDER_WATER), tmp_path), config, 2.0, 800)
 
 
+@pytest.mark.parametrize("sampling", SAMPLINGS)
 @pytest.mark.parametrize("photons", [0, 1, 10])
-def test_starved_forecast(half_white: SceneData, photons: int) -> None:
-    check(half_white, settings("iws+cf", forecast={"photons": photons}), 2.0, 700)
+def test_starved_forecast(half_white: SceneData, photons: int, sampling: str) -> None:
+    check(half_white, settings("iws+cf", forecast={"photons": photons, "sampling": sampling}), 2.0, 700)
 
 
 LIES = ["random directions", "one direction", "below the surface", "moved", "random powers", "no power"]
+LIES_OF_THE_MIXTURE = ["tables of another cluster", "narrowest cones", "widest cones", "garbage"]
 
 
-@pytest.mark.parametrize("how", LIES)
-def test_poisoned_forecast(half_white: SceneData, how: str) -> None:
-    config = settings("iws+cf")
-    check(half_white, config, 2.0, 1400, poisoned(half_white, config, how))
+@pytest.mark.parametrize(
+    ("how", "sampling"), [*itertools.product(LIES, SAMPLINGS), *((how, "mixture") for how in LIES_OF_THE_MIXTURE)]
+)
+def test_poisoned_forecast(half_white: SceneData, how: str, sampling: str) -> None:
+    config = settings("iws+cf", forecast={"sampling": sampling})
+    check(half_white, config, 2.0, 900, poisoned(half_white, config, how))
 
 
 @pytest.mark.parametrize("bound", [0.01, 1.0, 100.0, 1e4])
@@ -168,9 +199,10 @@ def test_any_bound(half_white: SceneData, bound: float) -> None:
         ({"paths": 64}, {}),
         ({}, {"splitting": 1}),
         ({}, {"splitting": 8}),
-        ({}, {"table": [8, 4]}),
-        ({}, {"table": [1, 1]}),
-        ({}, {"table": [32, 16], "max_rank": 0}),
+        ({}, {"max_rank": 0}),
+        ({}, {"sampling": "two", "table": [8, 4]}),
+        ({}, {"sampling": "two", "table": [1, 1]}),
+        ({}, {"sampling": "two", "table": [32, 16], "max_rank": 0}),
     ],
     ids=str,
 )
@@ -190,7 +222,8 @@ def test_room_of_gloss(tmp_path: Path) -> None:
     scene = scene_from(room(0, wall=GLOSS), tmp_path)
     truth = block_means(total(render_passes(scene, settings("pt-brute"), 1000))[..., :1], 2)
     assert relative_error(truth) <= LARGEST_ERROR
-    for method in ("pt", "iws+cf"):
-        found = block_means(total(render_passes(scene, settings(method), 1000))[..., :1], 2)
-        verdict = assert_equal_means(found, truth, method)
-        print(f"\n{method}: {verdict}; relative error {relative_error(found):.2e}")
+    for method, sampling in (("pt", "two"), ("iws+cf", "two"), ("iws+cf", "mixture")):
+        config = settings(method, forecast={"sampling": sampling})
+        found = block_means(total(render_passes(scene, config, 1000))[..., :1], 2)
+        verdict = assert_equal_means(found, truth, f"{method}, {sampling}")
+        print(f"\n{method}, {sampling}: {verdict}; relative error {relative_error(found):.2e}")

@@ -20,6 +20,7 @@ from causticmpi.render import methods
 from causticmpi.scene.data import SceneData
 
 pytestmark = pytest.mark.statistical
+SAMPLINGS = ("mixture", "two")
 CLEAR = 1e-6
 """p-value below which an injected error counts as found; the right kernels must stay above ALPHA."""
 PACKAGE = REPOSITORY / "causticmpi"
@@ -70,12 +71,19 @@ BOUND = 0.5
 """b [units^-2]: compensation reaches sqrt(1 / b) = 1.4 units here, the distance of walls and sphere."""
 
 
-def settings(method: str) -> RenderConfig:
+def settings(method: str, sampling: str = "two") -> RenderConfig:
     return make_config(
         method=method,
         film={"width": 16, "height": 16},
         iws={"paths": 32, "bound": BOUND},
-        forecast={"photons": 5000, "clusters": 16, "neighbours": 20, "table": [16, 8], "max_rank": 12},
+        forecast={
+            "photons": 5000,
+            "clusters": 16,
+            "neighbours": 20,
+            "table": [16, 8],
+            "max_rank": 12,
+            "sampling": sampling,
+        },
     )
 
 
@@ -93,19 +101,21 @@ def truth(scene: SceneData) -> np.ndarray:
     return blocks_of(scene, settings("pt"), 8000)
 
 
-def judge(scene: SceneData, truth: np.ndarray) -> Verdict:
-    found = blocks_of(scene, settings("iws+cf"), 1000)
+def judge(scene: SceneData, truth: np.ndarray, sampling: str = "two") -> Verdict:
+    found = blocks_of(scene, settings("iws+cf", sampling), 1000)
     verdict = compare(found, truth)
-    print(f"\n{verdict}; picture {100 * (found.mean() / truth.mean() - 1):+.2f} %")
+    print(f"\n{sampling}: {verdict}; picture {100 * (found.mean() / truth.mean() - 1):+.2f} %")
     return verdict
 
 
-def test_right_kernels_pass(scene: SceneData, truth: np.ndarray) -> None:
-    assert judge(scene, truth).p > ALPHA
+@pytest.mark.parametrize("sampling", SAMPLINGS)
+def test_right_kernels_pass(scene: SceneData, truth: np.ndarray, sampling: str) -> None:
+    assert judge(scene, truth, sampling).p > ALPHA
 
 
+@pytest.mark.parametrize("sampling", SAMPLINGS)
 def test_lights_lost_behind_mirrors(
-    scene: SceneData, truth: np.ndarray, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    scene: SceneData, truth: np.ndarray, sampling: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Virtual lights after a specular chain are not stored: the paths L S+ D D E are lost."""
     made = mutant(
@@ -115,7 +125,27 @@ def test_lights_lost_behind_mirrors(
         ("if vec.max3(bsdf.albedo(scene, material)) > ZERO:", "if events == 0:"),
     )
     monkeypatch.setattr(methods, "trace_virtual_lights", made.trace_virtual_lights)
-    assert judge(scene, truth).p < CLEAR
+    assert judge(scene, truth, sampling).p < CLEAR
+
+
+MIXTURE_ERRORS = {
+    "no BRDF ray": [  # directions that no photon of the cluster came from are lost
+        ("cosine = vec.dot(n, direction)\n", "cosine = vec.dot(n, direction) if j > 0 or coarse else ZERO\n"),
+        ("(bsdf.pdf(scene, material, n, wo, direction) + cm.coarse_pdf(", "(cm.coarse_pdf("),
+    ],
+    "no fine density": [  # cones are sampled but the other samplers' weights know nothing of it
+        ("density += np.float32(fine) * cm.fine_pdf(near, group, fine_total, direction)", "density += ZERO"),
+    ],
+}
+
+
+@pytest.mark.parametrize("name", MIXTURE_ERRORS)
+def test_errors_of_the_mixture(
+    scene: SceneData, truth: np.ndarray, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = mutant("estimators.iws_mixture", tmp_path, *MIXTURE_ERRORS[name])
+    monkeypatch.setattr(methods, "trace_iws_mixture", made.trace_iws_mixture)
+    assert judge(scene, truth, "mixture").p < CLEAR
 
 
 def test_compensation_counts_caustics_again(

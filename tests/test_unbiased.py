@@ -16,17 +16,25 @@ from causticmpi.scene.data import SceneData
 from causticmpi.scene.load import load_scene
 
 pytestmark = pytest.mark.statistical
+SAMPLINGS = ("mixture", "two")
 SIDE = 16
 """Pixels of a picture's side; compared as 4 x 4 blocks, large enough for the rare bright paths of L_c to even out."""
 
 
-def settings(method: str, seed: int, side: int = SIDE, **iws: float) -> RenderConfig:
+def settings(method: str, seed: int, sampling: str = "mixture", **iws: float) -> RenderConfig:
     return make_config(
         method=method,
         seed=seed,
-        film={"width": side, "height": side},
+        film={"width": SIDE, "height": SIDE},
         iws={"paths": 32, **iws},
-        forecast={"photons": 5000, "clusters": 32, "neighbours": 20, "table": [16, 8], "splitting": 2},
+        forecast={
+            "photons": 5000,
+            "clusters": 32,
+            "neighbours": 20,
+            "table": [16, 8],
+            "splitting": 2,
+            "sampling": sampling,
+        },
     )
 
 
@@ -37,16 +45,34 @@ def layers(films: np.ndarray, blocks: int = 4) -> np.ndarray:
     return block_means(films, films.shape[1] // blocks)
 
 
-def assert_agree(scene: SceneData, a: tuple[str, int], b: tuple[str, int], blocks: int = 4, **iws: float) -> Verdict:
-    """Methods with their numbers of passes; seeds differ, so the samples are independent."""
-    found = layers(render_passes(scene, settings(a[0], 1, **iws), a[1]), blocks)
-    truth = layers(render_passes(scene, settings(b[0], 2, **iws), b[1]), blocks)
+RIVALS: dict[tuple[str, str, int, int], np.ndarray] = {}
+"""Layers of the methods compared with, which know neither sampling nor bound, by scene."""
+
+
+def rival_layers(scene: SceneData, method: str, passes: int, blocks: int) -> np.ndarray:
+    key = (scene.content_hash, method, passes, blocks)
+    if key not in RIVALS:
+        RIVALS[key] = layers(render_passes(scene, settings(method, 2), passes), blocks)
+    return RIVALS[key]
+
+
+def assert_agree(
+    scene: SceneData,
+    a: tuple[str, int],
+    b: tuple[str, int],
+    blocks: int = 4,
+    sampling: str = "mixture",
+    **iws: float,
+) -> Verdict:
+    """Methods with their numbers of passes; seeds differ, so the samples are independent. b: `pt` or `pt-brute`."""
+    found = layers(render_passes(scene, settings(a[0], 1, sampling, **iws), a[1]), blocks)
+    truth = rival_layers(scene, *b, blocks)
     verdict = assert_equal_means(found, truth, f"{a[0]} against {b[0]}")
     whole = [layers.reshape(len(layers), -1, 9) for layers in (found, truth)]
     ratio = [float(x.mean()) for x in (whole[0][..., 6:], whole[1][..., 6:])]
     caustics = whole[1][..., 3:6].mean() / ratio[1]
     print(
-        f"\n{a} against {b}: {verdict}; {100 * (ratio[0] / ratio[1] - 1):+.2f} %, relative errors "
+        f"\n{a}, {sampling}, against {b}: {verdict}; {100 * (ratio[0] / ratio[1] - 1):+.2f} %, relative errors "
         f"{relative_error(whole[0][..., 6:]):.2e} and {relative_error(whole[1][..., 6:]):.2e}; L_c {caustics:.0%}"
     )
     return verdict
@@ -57,9 +83,10 @@ def cornell() -> SceneData:
     return load_scene(REPOSITORY / "scenes" / "cornell.yaml")
 
 
-@pytest.mark.parametrize(("passes", "rival"), [(2000, 2000), (200, 8000), (3000, 600)])
-def test_cornell(cornell: SceneData, passes: int, rival: int) -> None:
-    assert_agree(cornell, ("iws+cf", passes), ("pt", rival))
+@pytest.mark.parametrize("sampling", SAMPLINGS)
+@pytest.mark.parametrize(("passes", "rival"), [(2000, 2000), (200, 8000), (600, 8000)])
+def test_cornell(cornell: SceneData, passes: int, rival: int, sampling: str) -> None:
+    assert_agree(cornell, ("iws+cf", passes), ("pt", rival), sampling=sampling)
 
 
 def test_iws_is_the_diffusive_layer(cornell: SceneData) -> None:
@@ -120,9 +147,10 @@ def case(name: str, folder: Path) -> SceneData:
     return scene_from(ROOM.replace("FLOOR", floor).replace("BACK", back) + shapes, folder)
 
 
+@pytest.mark.parametrize("sampling", SAMPLINGS)
 @pytest.mark.parametrize("name", CASES)
-def test_forecasts_against_paths(name: str, tmp_path: Path) -> None:
-    assert_agree(case(name, tmp_path), ("iws+cf", 1000), ("pt", 4000))
+def test_forecasts_against_paths(name: str, sampling: str, tmp_path: Path) -> None:
+    assert_agree(case(name, tmp_path), ("iws+cf", 1000), ("pt", 4000), sampling=sampling)
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -130,13 +158,15 @@ def test_paths_against_brute_force(name: str, tmp_path: Path) -> None:
     assert_agree(case(name, tmp_path), ("pt", 2000), ("pt-brute", 8000))
 
 
+@pytest.mark.parametrize("sampling", SAMPLINGS)
 @pytest.mark.parametrize("bound", [0.05, 50.0])
-def test_gloss_at_any_bound(bound: float, tmp_path: Path) -> None:
-    assert_agree(case("satin and gloss", tmp_path), ("iws+cf", 1000), ("pt", 4000), bound=bound)
+def test_gloss_at_any_bound(bound: float, sampling: str, tmp_path: Path) -> None:
+    assert_agree(case("satin and gloss", tmp_path), ("iws+cf", 1000), ("pt", 4000), sampling=sampling, bound=bound)
 
 
+@pytest.mark.parametrize("sampling", SAMPLINGS)
 @pytest.mark.parametrize(("name", "passes", "rival"), [("ring", 500, 10000), ("pool", 1000, 20000)])
-def test_scenes_of_hard_caustics(name: str, passes: int, rival: int) -> None:
+def test_scenes_of_hard_caustics(name: str, passes: int, rival: int, sampling: str) -> None:
     """Coarse blocks: a path tracer meets these lights by luck alone."""
     scene = load_scene(REPOSITORY / "scenes" / f"{name}.yaml")
-    assert_agree(scene, ("iws+cf", passes), ("pt", rival), blocks=2)
+    assert_agree(scene, ("iws+cf", passes), ("pt", rival), blocks=2, sampling=sampling)

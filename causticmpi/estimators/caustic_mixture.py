@@ -113,10 +113,10 @@ def sample_fine(work, group, total, choice, u, v):
     """Uniform direction in the cone around a photon chosen by weight; total > 0. It may lie below the horizon."""
     i = pick(work.cdf[: work.count[group]], choice * total)
     axis = (work.photons[group, 0, i], work.photons[group, 1, i], work.photons[group, 2, i])
-    cosine = ONE - u * (ONE - work.cone[group])
-    sine = math.sqrt(max(ZERO, ONE - cosine * cosine))
+    height = u * (ONE - work.cone[group])  # 1 - cosine: near 1 the cosine itself is too coarse in float32
+    sine = math.sqrt(height * (TWO - height))
     phi = TWO_PI * v
-    return vec.to_world((sine * math.cos(phi), sine * math.sin(phi), cosine), axis)
+    return vec.to_world((sine * math.cos(phi), sine * math.sin(phi), ONE - height), axis)
 
 
 @inline
@@ -124,17 +124,16 @@ def fine_pdf(work, group, total, direction):
     """Density of `sample_fine`."""
     if total <= ZERO:
         return ZERO
-    edge = work.cone[group]
+    height = ONE - work.cone[group]
     inside, before = ZERO, ZERO
     for i in range(work.count[group]):
-        cosine = (
-            work.photons[group, 0, i] * direction[0]
-            + work.photons[group, 1, i] * direction[1]
-            + work.photons[group, 2, i] * direction[2]
-        )
-        inside += work.cdf[i] - before if cosine >= edge else ZERO
+        x = work.photons[group, 0, i] - direction[0]
+        y = work.photons[group, 1, i] - direction[1]
+        z = work.photons[group, 2, i] - direction[2]
+        # By the chord, 2 (1 - cosine): a comparison of cosines would lose samples of narrow cones to rounding.
+        inside += work.cdf[i] - before if x * x + y * y + z * z <= TWO * height else ZERO
         before = work.cdf[i]
-    return inside / total * INV_TWO_PI / (ONE - edge)
+    return inside / total * INV_TWO_PI / height
 
 
 @inline

@@ -1,0 +1,132 @@
+"""Directions of whole clusters: tables add up, the sampler follows them, cones are as wide as photons disagree."""
+
+import naive
+import numba
+import numpy as np
+import pytest
+from chi_square import SAMPLES, SphereCells, p_value, sidak
+from test_forecast import build, caustic_points
+
+from causticmpi.estimators import caustic_mixture as cm
+from causticmpi.kernels import vec
+from causticmpi.preprocess.directions import (
+    COLUMNS,
+    COMPANIONS,
+    NARROWEST,
+    PROBES,
+    ROWS,
+    WIDEST,
+    coarse_tables,
+    cone_cosines,
+)
+from causticmpi.preprocess.forecast import ForecastMaps, no_forecast
+from causticmpi.preprocess.photons import CausticPoints
+
+BINS = COLUMNS * ROWS
+COARSE_CASES = [1, 7, 200, 20_000]
+"""Points of the lit cluster."""
+COMPARISONS = len(COARSE_CASES) + 1
+STRAY = 1e-5
+"""Share of samples that the rounding of float32 may push over the border of their bin."""
+
+
+@numba.njit
+def run_sample_coarse(maps, cluster, u, out):
+    for i in range(u.shape[0]):
+        out[i, 0], out[i, 1], out[i, 2] = cm.sample_coarse(maps, cluster, u[i, 0], u[i, 1], u[i, 2])
+
+
+@numba.njit
+def run_coarse_pdf(maps, cluster, direction, out):
+    for i in range(direction.shape[0]):
+        out[i] = cm.coarse_pdf(maps, cluster, vec.row(direction, i))
+
+
+def one_cluster(count: int) -> tuple[ForecastMaps, np.ndarray]:
+    """Maps whose cluster 1 has the directions of `count` points, and their probability by bin; cluster 0 is dark."""
+    generator = np.random.default_rng(count)
+    direction = naive.unit(generator.normal(size=(count, 3)) + [1, 0.5, -0.3])
+    power = generator.exponential(size=count) ** 3
+    table = coarse_tables(direction.astype(np.float32), power, np.ones(count, np.int32), 2)
+    column = (np.arctan2(direction[:, 1], direction[:, 0]) % (2 * np.pi) / (2 * np.pi) * COLUMNS).astype(int)
+    row = np.minimum((direction[:, 2] + 1) / 2 * ROWS, ROWS - 1).astype(int)
+    expected = np.bincount(row * COLUMNS + column, weights=power, minlength=BINS) / power.sum()
+    return no_forecast()._replace(coarse=table), expected
+
+
+@pytest.mark.parametrize("count", COARSE_CASES)
+def test_coarse_tables(count: int) -> None:
+    maps, expected = one_cluster(count)
+    np.testing.assert_allclose(np.diff(maps.coarse[1].astype(np.float64), prepend=0), expected, atol=2e-7)
+    np.testing.assert_allclose(maps.coarse[0], (np.arange(BINS) + 1) / BINS, rtol=1e-6)
+    assert maps.coarse.dtype == np.float32 and (maps.coarse[:, -1] == 1).all() and (maps.coarse >= 0).all()
+    last = np.flatnonzero(expected).max()
+    assert (maps.coarse[1, last:] == 1).all() and (np.diff(maps.coarse, axis=1) >= 0).all()
+
+
+def test_rounding_leaves_no_gap_behind_the_last_bin() -> None:
+    """The largest uniform number never leads to a bin without a point, whatever the rounding of the sum."""
+    generator = np.random.default_rng(1)
+    clusters = 300
+    direction = naive.unit(generator.normal(size=(100 * clusters, 3)) - [0, 0, 2]).astype(np.float32)
+    power = generator.exponential(size=len(direction)) ** 8
+    table = coarse_tables(direction, power, np.arange(len(direction)) % clusters, clusters)
+    maps = no_forecast()._replace(coarse=table)
+    u = np.array([[np.nextafter(np.float32(1), np.float32(0)), 0.5, 0.5]], np.float32)
+    sampled, density = np.empty((1, 3), np.float32), np.empty(1, np.float32)
+    for cluster in range(clusters):
+        run_sample_coarse(maps, cluster, u, sampled)
+        run_coarse_pdf(maps, cluster, sampled, density)
+        assert density[0] > 0
+
+
+@pytest.mark.statistical
+@pytest.mark.parametrize(("count", "cluster"), [(1, 0), *((count, 1) for count in COARSE_CASES)])
+def test_coarse_sampler(count: int, cluster: int) -> None:
+    maps, _ = one_cluster(count)
+    sampled = np.empty((SAMPLES, 3), np.float32)
+    run_sample_coarse(maps, cluster, np.random.default_rng(7).random((SAMPLES, 3), np.float32), sampled)
+    cells = SphereCells(np.array([0, 0, 1]), np.linspace(-1, 1, 2 * ROWS + 1), 2 * COLUMNS)
+    centres, _ = cells.quadrature(1)
+    density = np.empty(len(centres), np.float32)
+    run_coarse_pdf(maps, cluster, centres.astype(np.float32), density)
+    expected = cells.integrate(density, 1)
+    assert expected.sum() == pytest.approx(1, abs=1e-5)
+    counts = cells.counts(sampled)
+    assert counts[expected == 0].sum() <= STRAY * SAMPLES
+    counts[expected == 0] = 0
+    p = p_value(counts, SAMPLES * expected)
+    print(f"\ncoarse {count} points, cluster {cluster}: p = {p:.3f}")
+    assert p > sidak(COMPARISONS)
+
+
+def naive_cone(maps: ForecastMaps, cluster: int) -> float:
+    """Half angle: the median over PROBES photons of the angle to their COMPANIONS-th closest direction nearby."""
+    low, high = maps.start[cluster], maps.start[cluster + 1]
+    place = np.stack([maps.x, maps.y, maps.z], axis=1)[low:high].astype(np.float64)
+    direction = maps.direction[low:high].astype(np.float64)
+    angles = []
+    for i in ((high - low) * np.arange(PROBES) // PROBES) if high - low > COMPANIONS else []:
+        d2 = ((place - place[i]) ** 2).sum(axis=1)
+        near = np.argsort(d2, kind="stable")[: maps.neighbours]
+        near = near[(d2[near] < maps.radius**2) & (near != i)]
+        if len(near) >= COMPANIONS:
+            cosine = np.sort(direction[near] @ direction[i])[::-1]
+            angles.append(np.arccos(np.clip(cosine[COMPANIONS - 1], -1, 1)))
+    return float(np.clip(np.median(angles), NARROWEST, WIDEST)) if angles else WIDEST
+
+
+@pytest.mark.parametrize(("spread", "neighbours"), [(1.0, 50), (0.05, 12), (0.05, 4), (0.0, 20)])
+def test_cones_against_brute_force(spread: float, neighbours: int) -> None:
+    """A photon is among its own neighbours, so with 4 of them none has 4 companions: the widest cones."""
+    points = caustic_points(3000)
+    direction = naive.unit(points.normal + spread * (points.direction - points.normal)).astype(np.float32)
+    maps, _, _ = build(CausticPoints(points.position, points.normal, direction, points.power), neighbours=neighbours)
+    expected = np.array([naive_cone(maps, j) for j in range(len(maps.cone))])
+    np.testing.assert_allclose(maps.cone, np.cos(expected), atol=1e-6)
+    if spread == 0:
+        assert (expected[maps.rank <= maps.max_rank] == NARROWEST).any()
+    if neighbours == COMPANIONS:
+        assert (expected == WIDEST).all()
+    again = cone_cosines((maps.x, maps.y, maps.z), maps.axis, maps.direction, maps.start, maps.radius, neighbours)
+    assert np.array_equal(again, maps.cone)
