@@ -90,7 +90,11 @@ def bin_density(maps):
 
 @inline
 def gather(maps, work, cluster, p):
-    """The at most n nearest forecast photons of a cluster within the search radius. Returns their number k."""
+    """The at most n nearest forecast photons of a cluster within the search radius, in `work.row`. Returns their
+    number.
+
+    work: any workspace with `distance`, `row`, `stack` and `plane`.
+    """
     radius = np.float32(maps.radius)
     return nearest(
         maps.x,

@@ -12,10 +12,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from causticmpi.estimators.caustic_forecast import gather
 from causticmpi.kernels import bsdf, vec
 from causticmpi.kernels.embree import LANES
 from causticmpi.kernels.jit import inline
-from causticmpi.kernels.kdtree import MAX_DEPTH, nearest
+from causticmpi.kernels.kdtree import MAX_DEPTH
 from causticmpi.kernels.vec import HALF, INV_TWO_PI, ONE, TWO, TWO_PI, ZERO
 from causticmpi.kernels.warp import pick
 from causticmpi.preprocess.directions import COLUMNS, ROWS
@@ -65,24 +66,9 @@ def mixture_work(maps: ForecastMaps) -> MixtureWork:
 def gather_group(maps, work, group, p, n):
     """Gather the at most n nearest photons around p, for a group of lanes; none outside the ranked clusters."""
     cluster = cluster_of(maps, p, n, work.codeword_distance)
-    radius = np.float32(maps.radius)
     k = 0
     if maps.rank[cluster] <= maps.max_rank:
-        k = nearest(
-            maps.x,
-            maps.y,
-            maps.z,
-            maps.axis,
-            maps.start[cluster],
-            maps.start[cluster + 1],
-            p,
-            radius * radius,
-            maps.neighbours,
-            work.distance,
-            work.row,
-            work.stack,
-            work.plane,
-        )
+        k = gather(maps, work, cluster, p)
     for i in range(k):
         photon = work.row[i]
         for c in range(3):

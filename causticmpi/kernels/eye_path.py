@@ -8,9 +8,6 @@ from causticmpi.kernels.jit import inline
 from causticmpi.kernels.traced_scene import hit_point, is_specular
 from causticmpi.kernels.vec import INFINITY, ONE, ZERO
 
-CHAIN = 1 << 20
-"""Counter of the subkeys that specular chains draw from."""
-
 
 @inline
 def scatter_along_eye_path(scene, primitive, n, p, offset, direction, throughput, u):

@@ -1,13 +1,12 @@
 """The scene as kernels see it: a named tuple of arrays, and what a hit on it means."""
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from causticmpi.kernels import vec, warp
 from causticmpi.kernels.jit import inline
-from causticmpi.kernels.vec import ONE, ZERO
+from causticmpi.kernels.vec import ZERO
 
 
 class TracedScene(NamedTuple):
@@ -73,14 +72,11 @@ def light_point(scene, light, u, v):
     corner = vec.row(scene.light_corner, light)
     e1 = vec.row(scene.light_edge1, light)
     if e1[0] == ZERO and e1[1] == ZERO and e1[2] == ZERO:
-        z = ONE - vec.TWO * u
-        r = math.sqrt(max(ZERO, ONE - z * z))
-        n = (r * math.cos(vec.TWO_PI * v), r * math.sin(vec.TWO_PI * v), z)
+        n = warp.uniform_sphere(u, v)
         reach = max(abs(s[0]), max(abs(s[1]), abs(s[2]))) + s[3]
         return vec.along(corner, n, s[3]), n, OFFSET * reach
-    root = math.sqrt(u)
-    p = vec.along(corner, e1, root * (ONE - v))
-    p = vec.along(p, vec.row(scene.light_edge2, light), root * v)
+    a, b = warp.triangle_barycentrics(u, v)
+    p = vec.along(vec.along(corner, e1, a), vec.row(scene.light_edge2, light), b)
     return p, (s[0], s[1], s[2]), OFFSET * s[3]
 
 
