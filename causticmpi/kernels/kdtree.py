@@ -105,6 +105,24 @@ def _sift_up(distance, row, i):
 
 
 @inline
+def _offer(x, y, z, i, p, radius2, most, distance, row, found):
+    """Keep point i if it is nearer than sqrt(radius2). Returns how many are kept and the squared radius from now on."""
+    dx, dy, dz = p[0] - x[i], p[1] - y[i], p[2] - z[i]
+    d2 = dx * dx + dy * dy + dz * dz
+    if d2 < radius2:
+        if found < most:
+            distance[found], row[found] = d2, i
+            _sift_up(distance, row, found)
+            found += 1
+        else:
+            distance[0], row[0] = d2, i
+            _sift_down(distance, row, found)
+        if found == most:
+            radius2 = distance[0]
+    return found, radius2
+
+
+@inline
 def nearest(x, y, z, axis, low, high, p, radius2, most, distance, row, stack, plane):
     """The `most` nearest points to p within sqrt(radius2) of the tree over rows [low, high).
 
@@ -131,18 +149,7 @@ def nearest(x, y, z, axis, low, high, p, radius2, most, distance, row, stack, pl
                 gap = p[2] - z[middle]
             gap2 = gap * gap
             if gap2 < radius2:
-                dx, dy, dz = p[0] - x[middle], p[1] - y[middle], p[2] - z[middle]
-                d2 = dx * dx + dy * dy + dz * dz
-                if d2 < radius2:
-                    if found < most:
-                        distance[found], row[found] = d2, middle
-                        _sift_up(distance, row, found)
-                        found += 1
-                    else:
-                        distance[0], row[0] = d2, middle
-                        _sift_down(distance, row, found)
-                    if found == most:
-                        radius2 = distance[0]
+                found, radius2 = _offer(x, y, z, middle, p, radius2, most, distance, row, found)
                 top += 1
                 plane[top] = gap2
                 if gap < ZERO:
@@ -154,16 +161,5 @@ def nearest(x, y, z, axis, low, high, p, radius2, most, distance, row, stack, pl
             else:
                 a = middle + 1
         for i in range(a, b):
-            dx, dy, dz = p[0] - x[i], p[1] - y[i], p[2] - z[i]
-            d2 = dx * dx + dy * dy + dz * dz
-            if d2 < radius2:
-                if found < most:
-                    distance[found], row[found] = d2, i
-                    _sift_up(distance, row, found)
-                    found += 1
-                else:
-                    distance[0], row[0] = d2, i
-                    _sift_down(distance, row, found)
-                if found == most:
-                    radius2 = distance[0]
+            found, radius2 = _offer(x, y, z, i, p, radius2, most, distance, row, found)
     return found

@@ -11,7 +11,7 @@ from causticmpi.kernels import kdtree
 from causticmpi.kernels.jit import inline, kernel
 from causticmpi.preprocess.directions import COLUMNS, ROWS, coarse_tables, cone_cosines
 from causticmpi.preprocess.photons import CausticPoints
-from causticmpi.preprocess.vector_quantization import assign, features, learn_codebook
+from causticmpi.preprocess.vector_quantization import assign, features, learn_codebook, nearest_codeword
 
 CULLED = 1 << 20
 """Rank of a cluster without energy."""
@@ -232,15 +232,4 @@ def _forecast_rows(
 def cluster_of(maps, p, n, distance):
     """The cluster that p with normal n falls into: nearest codeword in feature space. distance (m,): workspace."""
     s = np.float32(maps.normal_scale)
-    a, b, c = p
-    d, e, f = n[0] * s, n[1] * s, n[2] * s
-    codebook = maps.codebook
-    for j in range(codebook.shape[1]):
-        s0, s1, s2 = codebook[0, j] - a, codebook[1, j] - b, codebook[2, j] - c
-        s3, s4, s5 = codebook[3, j] - d, codebook[4, j] - e, codebook[5, j] - f
-        distance[j] = s0 * s0 + s1 * s1 + s2 * s2 + s3 * s3 + s4 * s4 + s5 * s5
-    best, index = distance[0], 0
-    for j in range(1, codebook.shape[1]):
-        if distance[j] < best:
-            best, index = distance[j], j
-    return index
+    return nearest_codeword(maps.codebook, (p[0], p[1], p[2], n[0] * s, n[1] * s, n[2] * s), distance)

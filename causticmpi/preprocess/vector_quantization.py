@@ -28,14 +28,18 @@ def features(position: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, floa
 
 
 @inline
-def _squared_distances(codebook, feature, i, out):
-    """Squared distances of feature column i to all codewords; codebook (6, m), out (m,)."""
-    a, b, c = feature[0, i], feature[1, i], feature[2, i]
-    d, e, f = feature[3, i], feature[4, i], feature[5, i]
+def _squared_distances(codebook, feature, out):
+    """Squared distances of a feature (six float32) to all codewords; codebook (6, m), out (m,)."""
+    a, b, c, d, e, f = feature
     for j in range(out.shape[0]):
         s0, s1, s2 = codebook[0, j] - a, codebook[1, j] - b, codebook[2, j] - c
         s3, s4, s5 = codebook[3, j] - d, codebook[4, j] - e, codebook[5, j] - f
         out[j] = s0 * s0 + s1 * s1 + s2 * s2 + s3 * s3 + s4 * s4 + s5 * s5
+
+
+@inline
+def _column(feature, i):
+    return feature[0, i], feature[1, i], feature[2, i], feature[3, i], feature[4, i], feature[5, i]
 
 
 @inline
@@ -48,11 +52,18 @@ def _least(values):
     return index
 
 
+@inline
+def nearest_codeword(codebook, feature, distance):
+    """Index of the codeword nearest to a feature (six float32); distance (m,): workspace."""
+    _squared_distances(codebook, feature, distance)
+    return _least(distance)
+
+
 @kernel
 def _compete(codebook, wins, feature, order, distance):
     """One epoch over the columns `order`; codebook and wins change in place."""
     for i in order:
-        _squared_distances(codebook, feature, i, distance)
+        _squared_distances(codebook, _column(feature, i), distance)
         for j in range(distance.shape[0]):
             distance[j] *= wins[j]
         winner = _least(distance)
@@ -66,8 +77,7 @@ def _compete(codebook, wins, feature, order, distance):
 def assign(codebook, feature, distance, cluster):
     """Nearest codeword of every column; distance (m,) float32 workspace, cluster (n,) int32 result."""
     for i in range(feature.shape[1]):
-        _squared_distances(codebook, feature, i, distance)
-        cluster[i] = _least(distance)
+        cluster[i] = nearest_codeword(codebook, _column(feature, i), distance)
 
 
 def learn_codebook(feature: np.ndarray, clusters: int, seed: int) -> np.ndarray:
