@@ -38,6 +38,14 @@ def build_parser() -> argparse.ArgumentParser:
     render.add_argument("--force", action="store_true", help="replace the run that DIR holds")
     check = verbs.add_parser("check", help="validate config and scene, estimate memory; renders nothing")
     _common(check)
+    compare = verbs.add_parser("compare", help="equal-time runs of several methods: tables, charts, one HTML report")
+    _common(compare)
+    compare.add_argument("--out", metavar="DIR", help="output directory")
+    compare.add_argument("-j", dest="ranks", metavar="RANKS", type=int, default=1, help="start this many ranks here")
+    compare.add_argument("--references", action="store_true", help="make the references that are missing, nothing else")
+    compare.add_argument(
+        "--show", metavar="DIR", action="append", default=[], help="put the PNGs of this directory into the report"
+    )
     bench = verbs.add_parser("bench", help="this machine: raw Embree rate beside each kernel's rate, on one core")
     bench.add_argument(
         "configs", metavar="CONFIG", nargs="*", default=[f"configs/{name}.yaml" for name in BENCH_SCENES]
@@ -74,6 +82,10 @@ def _run(argv: list[str]) -> int:
             from causticmpi.cli.check import check
 
             return check(arguments)
+        if arguments.verb == "compare":
+            from causticmpi.cli.compare import compare
+
+            return compare(arguments, argv)
         if arguments.verb == "bench":
             from causticmpi.bench.run import bench
 

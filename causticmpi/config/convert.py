@@ -88,6 +88,8 @@ def _step(value: Any, info: inspect.Type, key: str | int) -> tuple[Any, inspect.
             return value[key], next(field.type for field in option.fields if field.encode_name == key)
         if isinstance(option, inspect.TupleType) and isinstance(key, int):
             return value[key], option.item_types[key]
+        if isinstance(option, inspect.ListType) and isinstance(key, int):
+            return value[key], option.item_type
     return value, info
 
 

@@ -34,13 +34,15 @@ def load_config(path: str | Path, overrides: Mapping[str, str] | Sequence[str] =
     """
     source = read_yaml(path)
     config = _validated(source)
-    parsed = list(_parsed(overrides))
-    if not parsed:
-        return config
+    return _validated(overridden(source, overrides)) if overrides else config
+
+
+def overridden(source: YamlSource, overrides: Mapping[str, str] | Sequence[str]) -> YamlSource:
+    """A copy of the source with the overrides (see `load_config`) applied; not validated. Raises InputError."""
     changed = YamlSource(source.file, copy.deepcopy(source.data), dict(source.places))
-    for origin, keys, value in parsed:
+    for origin, keys, value in _parsed(overrides):
         _apply(changed, origin, keys, value)
-    return _validated(changed)
+    return changed
 
 
 def scene_path(config_path: str | Path, config: RenderConfig) -> Path:

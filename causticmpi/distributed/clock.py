@@ -36,10 +36,10 @@ def seconds_since_start() -> float:
 
 
 class Stopwatch:
-    """Elapsed seconds and seconds by stage."""
+    """Elapsed seconds and seconds by stage. from_now: count from here, not from the start of the program."""
 
-    def __init__(self) -> None:
-        self._zero = time.monotonic() - seconds_since_start()
+    def __init__(self, from_now: bool = False) -> None:
+        self._zero = time.monotonic() - (0.0 if from_now else seconds_since_start())
         self.compiling = 0.0
         self.stages: dict[str, float] = {}
 

@@ -22,6 +22,7 @@ from causticmpi.distributed.prepare import (
 )
 from causticmpi.distributed.result import Merged, Result, peak_memory_mb
 from causticmpi.distributed.signals import StopFlag
+from causticmpi.distributed.snapshots import Snapshots
 from causticmpi.distributed.warmup import warm_up
 from causticmpi.distributed.world import World
 from causticmpi.errors import InputError
@@ -67,19 +68,36 @@ def render(world: World, read_request: Callable[[], Request]) -> int:
 
     Raises AgreedInputError on all ranks for bad input, before anything is written.
     """
-    watch = Stopwatch()
     with StopFlag() as flag:
-        request, scene_data = _read_input(world, read_request, watch)
-        config = request.config
-        _warm_up(world, config, scene_data, watch)
-        with watch.stage("load"):
-            scene = share_scene(world, scene_data, config.watertight)
-        run = _Run(world, request, scene, _claim(world, request), watch, flag)
-        if not run.asked_to_stop():
-            run.forecast()
-            run.trace()
-        run.finish()
+        render_one(world, read_request, Stopwatch(), flag)
     return 0
+
+
+def render_one(
+    world: World,
+    read_request: Callable[[], Request],
+    watch: Stopwatch,
+    flag: StopFlag,
+    snapshots: Snapshots | None = None,
+) -> int:
+    """Collective. One of several renders in these processes; the world keeps none of its memory.
+
+    The budget counts from the zero of `watch`. snapshots: keeps pictures of the growing run (see there). Returns the
+    signal that stopped the run, 0 for none. Raises as `render` does.
+    """
+    request, scene_data = _read_input(world, read_request, watch)
+    config = request.config
+    _warm_up(world, config, scene_data, watch)
+    with watch.stage("load"):
+        scene = share_scene(world, scene_data, config.watertight)
+    run = _Run(world, request, scene, _claim(world, request), watch, flag, snapshots)
+    if not run.asked_to_stop():
+        run.forecast()
+        run.trace()
+    run.finish()
+    scene.embree.close()
+    world.release()
+    return run.stopped_by
 
 
 def _read_input(
@@ -137,8 +155,10 @@ class _Run:
         claim: Claim | None,
         watch: Stopwatch,
         flag: StopFlag,
+        snapshots: Snapshots | None,
     ) -> None:
         config = request.config
+        self.snapshots = snapshots
         self.world, self.config, self.scene, self.watch, self.flag = world, config, scene, watch, flag
         window = config.film.crop or (0, 0, config.film.width, config.film.height)
         slots = (window[2] - window[0]) * (window[3] - window[1])
@@ -210,6 +230,8 @@ class _Run:
             if self.stopped_by:
                 break
             passes = self.world.broadcast(self._next_round(length))
+            if self.snapshots is not None and self.snapshots.due(self.film.passes):
+                self._take_snapshot(self.snapshots)
             if passes > 0 and self.world.broadcast(self._picture_due()):
                 self._write_in_between()
 
@@ -275,6 +297,16 @@ class _Run:
     def _write_in_between(self) -> None:
         began = time.monotonic()
         self._reduce_and_write()
+        self.written_for += time.monotonic() - began
+
+    def _take_snapshot(self, snapshots: Snapshots) -> None:
+        """Collective. The clock of the budget stands still meanwhile, as for progressive pictures."""
+        began = time.monotonic()
+        seconds = self._elapsed() - self.written_for
+        sums = self.world.reduce_sum(self.film.sums)
+        if sums is not None:
+            snapshots.take(sums, self.film.passes, seconds)
+        self.world.barrier()
         self.written_for += time.monotonic() - began
 
     def _show_progress(self) -> None:

@@ -193,12 +193,16 @@ class MpiWorld(World):
         self.comm.Abort(code)
         raise SystemExit(code)  # not reached: MPI_Abort does not return
 
+    def release(self) -> None:
+        for shared in self._shared:
+            shared.free()
+        self._shared.clear()
+
     def close(self) -> None:
         if self._closed or MPI.Is_finalized():
             return
         self._closed = True
-        for shared in self._shared:
-            shared.free()
+        self.release()
         self.barrier()
         # Never used again, and an unfreed communicator is reported as a leak by some libraries.
         if self.leaders != MPI.COMM_NULL:

@@ -100,6 +100,10 @@ class World(ABC):
         """End all ranks now, without waiting for them; the launcher returns `code` where it can."""
 
     @abstractmethod
+    def release(self) -> None:
+        """Collective. Give back the memory of all arrays of `share` so far: no rank may use them afterwards."""
+
+    @abstractmethod
     def close(self) -> None:
         """Collective. Free what is shared (arrays of `share` die here); harmless when repeated."""
 
@@ -154,6 +158,9 @@ class SerialWorld(World):
 
     def abort(self, code: int) -> NoReturn:
         raise SystemExit(code)
+
+    def release(self) -> None:
+        return
 
     def close(self) -> None:
         return

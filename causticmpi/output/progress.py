@@ -73,7 +73,7 @@ class Progress:
         estimated_relmse: None while it is unknown (fewer than two passes).
         """
         left = self._seconds_left(elapsed, spp)
-        time_left = "time left unknown" if left is None else f"{_clock(left)} left"
+        time_left = "time left unknown" if left is None else f"{clock(left)} left"
         rate = f"{_si(rays_per_second)}rays/s"
         error = "unknown" if estimated_relmse is None else f"{estimated_relmse:.3g}"
         if self._bar is not None:  # short: it shares 80 columns with the bar
@@ -83,7 +83,7 @@ class Progress:
             return
         self._pending = ", ".join(
             (
-                _clock(elapsed) + ("" if self._total_seconds is None else f" of {_clock(self._total_seconds)}"),
+                clock(elapsed) + ("" if self._total_seconds is None else f" of {clock(self._total_seconds)}"),
                 time_left,
                 f"{spp:g} spp" if self._total_spp is None else f"{spp:g} of {self._total_spp} spp",
                 f"{passes} pass{'' if passes == 1 else 'es'}",
@@ -177,7 +177,7 @@ def _open_bar(stream: TextIO) -> Any:
     return bar
 
 
-def _clock(seconds: float) -> str:
+def clock(seconds: float) -> str:
     minutes, rest = divmod(int(seconds + 0.5), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"

@@ -1,0 +1,1 @@
+"""`causticmpi compare`: equal-time runs against references; metrics, tables, charts, one report."""

@@ -1,0 +1,209 @@
+"""Charts and picture grids, drawn by matplotlib, which the extra `compare` brings along."""
+
+import io
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from causticmpi.compare.analysis import CURVES, Group, PartResult
+from causticmpi.compare.metrics import relative_error
+from causticmpi.errors import InputError
+from causticmpi.output.png import srgb_bytes
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+PALETTE = ("#d55e00", "#0072b2", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#5b4a9e", "#7f7f7f")
+"""Okabe and Ito's colours, which the colour-blind tell apart; one for each variant, the same in all charts."""
+CELL = 2.6
+"""Inches of a picture in a grid."""
+
+
+def require_matplotlib() -> None:
+    """Raises InputError where the charts could not be drawn."""
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError:
+        raise InputError("compare needs matplotlib for its charts: pip install 'causticmpi[compare]'") from None
+
+
+def colours(labels: Sequence[str]) -> dict[str, str]:
+    """A colour for every variant, by its place in the config."""
+    return {label: PALETTE[i % len(PALETTE)] for i, label in enumerate(labels)}
+
+
+def error_chart(result: PartResult, palette: Mapping[str, str], against: str) -> "Figure":
+    """Error curves of all methods, one panel per metric. against: `seconds` or `passes`."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(13, 7.2), layout="constrained")
+    panels = figure.subplots(2, 3)
+    for panel, (metric, name) in zip(panels.flat, CURVES.items(), strict=True):
+        for group in result.longest:
+            _curve(panel, group, metric, palette[group.label], against)
+        panel.set(xscale="log", yscale="log", title=name)
+        panel.set_xlabel("wall-clock time [s]" if against == "seconds" else "passes (samples per pixel)")
+        panel.grid(True, which="major", color="#dddddd", linewidth=0.8)
+        panel.set_axisbelow(True)
+        _plain_ticks(panel)
+        if metric != "flip" and against == "passes":
+            _guide(panel)
+        panel.legend(fontsize=7.5, frameon=False)
+    axis = "time" if against == "seconds" else "passes"
+    figure.suptitle(
+        f"{result.part.title}: error against {axis}, budget {result.longest[0].seconds:g} s, "
+        f"{len(result.longest[0].runs)} seed(s); in brackets the slope against passes"
+    )
+    return figure
+
+
+def _curve(panel: "Axes", group: Group, metric: str, colour: str, against: str) -> None:
+    fit = group.slope(metric)
+    label = group.name + (f" ({fit.mean:.2f})" if np.isfinite(fit.mean) else "")
+    curves = []
+    for measured in group.runs:
+        points = [(getattr(p, against), getattr(p.errors, metric)) for p in measured.points]
+        xy = np.array([(x, y) for x, y in points if np.isfinite(y) and y > 0])
+        if len(xy):
+            curves.append(xy)
+            if len(group.runs) > 1:
+                panel.plot(*xy.T, color=colour, linewidth=0.7, alpha=0.35)
+    if not curves:
+        return
+    x, y = _mean_curve(curves)
+    panel.plot(x, y, "-o", color=colour, markersize=3.5, linewidth=1.8, label=label)
+
+
+def _mean_curve(curves: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Mean over seeds where all of them have values, interpolated in log-log."""
+    if len(curves) == 1:
+        return curves[0][:, 0], curves[0][:, 1]
+    low, high = max(c[0, 0] for c in curves), min(c[-1, 0] for c in curves)
+    if low >= high:
+        return np.array([high]), np.array([np.mean([c[-1, 1] for c in curves])])
+    x = np.geomspace(low, high, max(len(c) for c in curves))
+    logs = [np.interp(np.log(x), np.log(c[:, 0]), np.log(c[:, 1])) for c in curves]
+    return x, np.exp(logs).mean(axis=0)
+
+
+def _plain_ticks(panel: "Axes") -> None:
+    """1, 2, 5 in plain figures: powers of ten alone leave a short axis without a label."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    for axis in (panel.xaxis, panel.yaxis):
+        low, high = axis.get_view_interval()
+        narrow = high < 30 * low
+        axis.set_major_locator(LogLocator(10, subs=(1.0, 2.0, 5.0) if narrow else (1.0,)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_formatter(NullFormatter())
+
+
+def _guide(panel: "Axes") -> None:
+    """A dashed line of slope -1 through the middle of the panel."""
+    (x0, x1), (y0, y1) = panel.get_xlim(), panel.get_ylim()
+    x = np.geomspace(x0, x1, 2)
+    y = np.sqrt(y0 * y1) * np.sqrt(x0 * x1) / x
+    panel.plot(x, y, "--", color="#999999", linewidth=1, label="slope -1", zorder=0)
+    panel.set(xlim=(x0, x1), ylim=(y0, y1))
+
+
+def picture_grid(result: PartResult, groups: Sequence[Group]) -> "Figure":
+    """The reference and every method: picture, close-ups, error map, signed error; as the paper's Figures 3 to 6."""
+    from matplotlib.colors import LogNorm, Normalize
+    from matplotlib.figure import Figure
+
+    closeups = result.part.scene.closeups
+    height, width, _ = result.reference.rgb.shape
+    aspect = height / width
+    heights = [aspect, *(_shape(c) for c in closeups), aspect, aspect]
+    columns = len(groups) + 1
+    figure = Figure(
+        figsize=(CELL * columns + 1.0, CELL * sum(heights) + 0.25 * len(heights) + 0.5), layout="constrained"
+    )
+    cells = figure.subplots(len(heights), columns, height_ratios=heights, squeeze=False)
+    for cell in cells.flat:
+        cell.set(xticks=[], yticks=[])
+        cell.set_frame_on(False)
+    pictures = [("reference", result.reference.rgb)]
+    pictures += [(f"{g.name}\n{g.runs[0].final.passes} samples per pixel", g.rgb) for g in groups]
+    for column, (name, rgb) in enumerate(pictures):
+        _show_picture(cells[:, column], name, rgb, result)
+    errors = [relative_error(group.rgb, result.reference) for group in groups]
+    top = max(float(np.percentile(np.concatenate([e.ravel() for e in errors]), 99)), 1e-5)
+    signed_top = max(float(np.percentile(np.abs(np.concatenate([g.signed.ravel() for g in groups])), 99)), 1e-6)
+    for column, (group, error) in enumerate(zip(groups, errors, strict=True), 1):
+        heat = cells[-2, column].imshow(
+            np.maximum(error, top / 1e3), norm=LogNorm(top / 1e3, top), cmap="magma", interpolation="nearest"
+        )
+        signed = cells[-1, column].imshow(
+            group.signed, norm=Normalize(-signed_top, signed_top), cmap="RdBu_r", interpolation="nearest"
+        )
+    figure.colorbar(heat, ax=cells[-2, :], fraction=0.03, pad=0.01)
+    figure.colorbar(signed, ax=cells[-1, :], fraction=0.03, pad=0.01)
+    seeds = len(groups[0].runs)
+    cells[-2, 0].text(0.5, 0.5, "squared relative\nerror, first seed", ha="center", va="center", fontsize=11)
+    cells[-1, 0].text(
+        0.5, 0.5,
+        "signed error I - R\n[radiance], mean of\n" + f"{seeds} seed(s) and of\n7 x 7 pixels\nred: too bright",
+        ha="center", va="center", fontsize=11,
+    )  # fmt: skip
+    figure.suptitle(f"{result.part.title}: after {groups[0].seconds:g} s", fontsize=13)
+    return figure
+
+
+def _shape(rectangle: Sequence[int]) -> float:
+    x0, y0, x1, y1 = rectangle
+    return (y1 - y0) / (x1 - x0)
+
+
+def _show_picture(cells: Sequence[Any], name: str, rgb: np.ndarray, result: PartResult) -> None:
+    from matplotlib.patches import Rectangle
+
+    cells[0].set_title(name, fontsize=10)
+    shown = srgb_bytes(rgb)
+    cells[0].imshow(shown, interpolation="antialiased")
+    left, top = (result.part.base.film.crop or (0, 0))[:2]
+    for cell, (x0, y0, x1, y1) in zip(cells[1:], result.part.scene.closeups, strict=False):
+        cell.imshow(shown[y0 - top : y1 - top, x0 - left : x1 - left], interpolation="nearest")
+        frame = (x0 - left - 0.5, y0 - top - 0.5)
+        cells[0].add_patch(Rectangle(frame, x1 - x0, y1 - y0, fill=False, edgecolor="#ffd400", linewidth=1))
+
+
+def budget_grid(result: PartResult) -> "Figure":
+    """Methods down, budgets across: the paper's Figure 5."""
+    from matplotlib.figure import Figure
+
+    budgets = sorted(result.groups)
+    labels = [group.label for group in result.longest]
+    height, width, _ = result.reference.rgb.shape
+    figure = Figure(
+        figsize=(CELL * len(budgets) + 0.6, CELL * height / width * len(labels) + 0.9), layout="constrained"
+    )
+    cells = figure.subplots(len(labels), len(budgets), squeeze=False)
+    for column, seconds in enumerate(budgets):
+        for row, group in enumerate(result.groups[seconds]):
+            cell = cells[row, column]
+            cell.set(xticks=[], yticks=[])
+            cell.imshow(srgb_bytes(group.rgb), interpolation="antialiased")
+            caption = f"{group.runs[0].final.passes} samples per pixel"
+            cell.set_title(f"{seconds:g} s\n{caption}" if row == 0 else caption, fontsize=9)
+            if column == 0:
+                cell.set_ylabel(group.name, fontsize=10)
+    figure.suptitle(f"{result.part.title}: methods and budgets", fontsize=13)
+    return figure
+
+
+def as_png(figure: "Figure") -> bytes:
+    """For charts: few colours, sharp lines."""
+    out = io.BytesIO()
+    figure.savefig(out, format="png", dpi=110)
+    return out.getvalue()
+
+
+def as_jpeg(figure: "Figure") -> bytes:
+    """For pictures, a tenth of a PNG's size: noise hardly compresses."""
+    out = io.BytesIO()
+    figure.savefig(out, format="jpeg", dpi=130, pil_kwargs={"quality": 88})
+    return out.getvalue()

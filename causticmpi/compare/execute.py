@@ -1,0 +1,208 @@
+"""The runs of a comparison under one MPI launch, one after the other; what is finished is never repeated."""
+
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from causticmpi.compare.files import FINISHED, SNAPSHOTS, is_finished, mark_finished, run_key
+from causticmpi.compare.load import Plan, Run
+from causticmpi.compare.reference import (
+    ReferencePicture,
+    assemble,
+    needed_batches,
+    read_reference,
+    reference_directory,
+    told,
+)
+from causticmpi.distributed.clock import Stopwatch
+from causticmpi.distributed.job import Request, render_one
+from causticmpi.distributed.signals import StopFlag
+from causticmpi.distributed.snapshots import Snapshots
+from causticmpi.distributed.warmup import warm_up
+from causticmpi.distributed.world import World
+from causticmpi.errors import InputError
+from causticmpi.output.directory import UNFINISHED, check_directory, write_whole
+from causticmpi.output.progress import clock
+from causticmpi.render.methods import FORECASTING
+from causticmpi.scene.content import has_specular, with_camera
+from causticmpi.scene.load import load_scene
+
+UNTIMED = 60.0
+"""Seconds assumed of a run whose budget counts samples, for the time left."""
+
+
+@dataclass(frozen=True)
+class Scenes:
+    """What rank 0 knows of every part's scene: its content hash, and whether caustics can occur."""
+
+    hashes: Mapping[str, str]
+    specular: Mapping[str, bool]
+
+
+@dataclass(frozen=True)
+class Task:
+    """A run to make, the key that marks it as finished, and whether it leaves snapshots."""
+
+    run: Run
+    key: str
+    snapshots: bool
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What is left for rank 0 to do: signal that stopped the runs (0: all done); references by part, on rank 0."""
+
+    plan: Plan
+    signal: int
+    references: Mapping[str, ReferencePicture]
+
+
+def execute(
+    world: World, read_plan: Callable[[], Plan], command: tuple[str, ...], references_only: bool
+) -> Outcome:
+    """Collective. Make the references that are missing, then the runs that are missing.
+
+    Raises AgreedInputError for bad input, before any run is started.
+    """
+    plan, scenes, references = _read(world, read_plan)
+    wanted: list[Task] = world.broadcast(
+        _missing_batches(world, plan, scenes, references) if world.is_root else None
+    )
+    with StopFlag() as flag:
+        runs: list[Task] = [] if references_only else world.broadcast(_missing_runs(world, plan, scenes))
+        _warm_up(world, [task.run for task in (*wanted, *runs)], scenes)
+        signal = _make(world, wanted, command, flag, "reference")
+        if signal == 0 and world.is_root:
+            for part in plan.parts:
+                if part.name not in references:
+                    references[part.name] = _assembled(plan, part.name, scenes)
+        if signal == 0:
+            signal = _make(world, runs, command, flag, "run")
+    if world.is_root:
+        _leave_word(plan, signal)
+    return Outcome(plan, signal, references)
+
+
+def _read(world: World, read_plan: Callable[[], Plan]) -> tuple[Plan, Scenes, dict[str, ReferencePicture]]:
+    """Rank 0 reads all input; every rank gets the plan."""
+    error: InputError | None = None
+    plan: Plan | None = None
+    scenes = Scenes({}, {})
+    references: dict[str, ReferencePicture] = {}
+    if world.is_root:
+        try:
+            plan = read_plan()
+            check_directory(plan.directory, force=True)
+            scenes = _examine(plan)
+            for part in plan.parts:
+                directory = reference_directory(plan, part, scenes.hashes[part.name])
+                found = read_reference(directory, part, scenes.hashes[part.name])
+                if found is not None:
+                    references[part.name] = found
+        except InputError as found_error:
+            error = found_error
+    world.agree(error)
+    return world.broadcast(plan), world.broadcast(scenes), references
+
+
+def _examine(plan: Plan) -> Scenes:
+    hashes, specular = {}, {}
+    for part in plan.parts:
+        scene = load_scene(part.scene_file)
+        if part.base.camera is not None:
+            scene = with_camera(scene, part.base.camera)
+        hashes[part.name], specular[part.name] = scene.content_hash, has_specular(scene)
+    return Scenes(hashes, specular)
+
+
+def _missing_batches(
+    world: World, plan: Plan, scenes: Scenes, references: Mapping[str, ReferencePicture]
+) -> list[Task]:
+    tasks: dict[str, Task] = {}
+    for part in plan.parts:
+        if part.name in references:
+            continue
+        scene_hash = scenes.hashes[part.name]
+        for run in needed_batches(plan, part, reference_directory(plan, part, scene_hash)):
+            key = run_key(run, scene_hash, world.size)
+            if not is_finished(run, key):
+                tasks.setdefault(str(run.directory), Task(run, key, False))  # parts may share a reference
+    return list(tasks.values())
+
+
+def _missing_runs(world: World, plan: Plan, scenes: Scenes) -> list[Task]:
+    tasks = [Task(run, run_key(run, scenes.hashes[run.part], world.size), True) for run in plan.runs]
+    return [task for task in tasks if not is_finished(task.run, task.key)]
+
+
+def _assembled(plan: Plan, name: str, scenes: Scenes) -> ReferencePicture:
+    part = next(part for part in plan.parts if part.name == name)
+    directory = reference_directory(plan, part, scenes.hashes[name])
+    found = read_reference(directory, part, scenes.hashes[name])  # another part may have made it
+    if found is None:
+        batches = needed_batches(plan, part, directory)
+        found = assemble(part, batches, directory, scenes.hashes[name], plan.config.reference.block)
+    print(f"{directory}: {told(found.facts)}", flush=True)
+    if not found.facts["agrees"]:
+        print(f"causticmpi: warning: {directory}: the two methods of the reference disagree", file=sys.stderr)
+    return found
+
+
+def _warm_up(world: World, runs: Sequence[Run], scenes: Scenes) -> None:
+    """Compile and load all kernels before the first budget starts, so that no run pays for those after it."""
+    kinds = {(run.config.method, run.config.forecast.sampling, scenes.specular[run.part]): run for run in runs}
+    for (method, _, specular), run in kinds.items():
+        forecasting = specular and method in FORECASTING
+        world.first_on_node(lambda run=run, forecasting=forecasting: warm_up(run.config, world.is_root, forecasting))
+
+
+def _make(world: World, tasks: Sequence[Task], command: tuple[str, ...], flag: StopFlag, kind: str) -> int:
+    """Collective. Run the tasks in order; returns the signal that stopped them, or 0."""
+    began, done = time.monotonic(), 0.0
+    whole = sum(_expected(task) for task in tasks)
+    for number, task in enumerate(tasks, 1):
+        stopped = world.all_max(flag.raised)
+        if stopped:
+            return stopped
+        run = task.run
+        if world.is_root:
+            pace = (time.monotonic() - began) / done if done > 0 else 1.0
+            left = clock(pace * (whole - done))
+            budget = f"{run.seconds:g} s" if run.seconds is not None else f"{run.config.budget.spp} samples per pixel"
+            print(
+                f"{kind} {number} of {len(tasks)}, about {left} left: {run.part}, {run.label}, {budget}, seed {run.seed}",
+                flush=True,
+            )
+            (run.directory / FINISHED).unlink(missing_ok=True)
+        snapshots = Snapshots() if task.snapshots else None
+        request = Request(run.config, run.scene_file, True, command)
+        signal = render_one(world, lambda request=request: request, Stopwatch(from_now=True), flag, snapshots)
+        if signal:
+            return signal
+        if world.is_root:
+            _finish(task, snapshots)
+        done += _expected(task)
+    return 0
+
+
+def _finish(task: Task, snapshots: Snapshots | None) -> None:
+    film = task.run.config.film
+    x0, y0, x1, y1 = film.crop or (0, 0, film.width, film.height)
+    if snapshots is not None:
+        snapshots.write(task.run.directory / SNAPSHOTS, y1 - y0, x1 - x0)
+    mark_finished(task.run, task.key)
+
+
+def _expected(task: Task) -> float:
+    return task.run.seconds if task.run.seconds is not None else UNTIMED
+
+
+def _leave_word(plan: Plan, signal: int) -> None:
+    """The file that tells a batch script to start the comparison again, there exactly while it is unfinished."""
+    plan.directory.mkdir(parents=True, exist_ok=True)
+    path = plan.directory / UNFINISHED
+    if signal:
+        write_whole(path, lambda file: file.write_text(f"stopped by signal {signal}\n"))
+    else:
+        path.unlink(missing_ok=True)

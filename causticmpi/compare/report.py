@@ -1,0 +1,98 @@
+"""What a finished comparison writes: tables, figures, the page that holds them all."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from causticmpi import __version__
+from causticmpi.compare import charts, tables
+from causticmpi.compare.analysis import PartResult
+from causticmpi.compare.load import Plan
+from causticmpi.compare.metrics import flip_missing
+from causticmpi.compare.page import Image, Section, page
+from causticmpi.compare.paper import TWO_TABLES
+from causticmpi.compare.reference import told
+from causticmpi.compare.tables import Table
+from causticmpi.output.directory import write_whole
+from causticmpi.output.progress import clock
+
+REPORT, TABLES, MEASUREMENTS = "report.html", "tables.md", "measurements.csv"
+
+
+def write_reports(plan: Plan, results: Sequence[PartResult], more: Sequence[Path] = ()) -> Path:
+    """Write everything into the plan's directory; returns the path of the page.
+
+    more: directories of further pictures (PNG), such as those of `causticmpi inspect`, to show on the page.
+    """
+    palette = charts.colours([variant.label for variant in plan.config.variants])
+    sections = [_summary(results), *(_section(result, palette) for result in results)]
+    sections += [_further(directory) for directory in more]
+    figures = plan.directory / "figures"
+    figures.mkdir(parents=True, exist_ok=True)
+    markdown = [f"# {plan.config.title}", ""]
+    for section in sections:
+        for item in section.content:
+            if isinstance(item, Image):
+                _write(figures / f"{item.name}.{item.suffix}", item.data)
+            else:
+                markdown.append(tables.to_markdown(item))
+                _write(plan.directory / "tables" / f"{item.name}.csv", tables.to_csv(item).encode())
+    _write(plan.directory / TABLES, "\n".join(markdown).encode())
+    _write(plan.directory / MEASUREMENTS, tables.to_csv(tables.every_point(results)).encode())
+    _write(plan.directory / REPORT, page(plan.config.title, _introduction(plan, results), sections).encode())
+    return plan.directory / REPORT
+
+
+def _introduction(plan: Plan, results: Sequence[PartResult]) -> list[str]:
+    runs = [measured for result in results for groups in result.groups.values() for g in groups for measured in g.runs]
+    report = runs[0].report
+    hosts = ", ".join(report["provenance"]["hosts"])
+    scale = f" Budgets are scaled by {plan.config.scale:g}." if plan.config.scale != 1 else ""
+    lines = [
+        f"causticmpi {__version__}, {report['ranks']} ranks on {hosts} ({report['provenance']['mpi']}), "
+        f"{len(runs)} runs one after the other under one MPI launch, "
+        f"{clock(sum(m.report['seconds']['total'] for m in runs))} in all.{scale}",
+        "Every method has the same wall-clock time on the same ranks: loading the scene, the preprocess, tracing and "
+        "writing are in it; compiling and loading the kernels are not. relMSE = mean((I - R)^2 / (R^2 + 0.01)) against "
+        "the reference R, whose own variance is subtracted.",
+    ]
+    missing = flip_missing()
+    return lines if missing is None else [*lines, missing + "."]
+
+
+def _summary(results: Sequence[PartResult]) -> Section:
+    content = [table for table in (tables.samples_table(results), tables.timing_table(results)) if table is not None]
+    disagreeing = [result.part.title for result in results if not result.reference.facts["agrees"]]
+    alarm = f"References that failed their check: {', '.join(disagreeing)}." if disagreeing else ""
+    references = [f"{result.part.title}: reference by {told(result.reference.facts)}." for result in results]
+    return Section("References, samples and timings", references, content, alarm)
+
+
+def _section(result: PartResult, palette: dict[str, str]) -> Section:
+    name, longest = result.part.name, result.longest
+    content: list[Table | Image] = [tables.error_table(result, seconds) for seconds in result.groups]
+    content.append(tables.slope_table(result))
+    variants = tables.variant_table(result)
+    content += [] if variants is None else [variants]
+    methods = ", ".join(group.name for group in longest)
+    for against, words in (("seconds", "wall-clock time"), ("passes", "passes")):
+        caption = f"{result.part.title}: error against {words}; {methods}. Thin lines: single seeds; FLIP: first seed."
+        chart = charts.error_chart(result, palette, against)
+        content.append(Image(f"{name}-error-against-{against}", charts.as_png(chart), caption))
+    if len(result.groups) > 1:
+        caption = f"{result.part.title}: pictures after each budget; {methods}."
+        content.append(Image(f"{name}-budgets", charts.as_jpeg(charts.budget_grid(result)), caption))
+    for seconds, groups in result.groups.items():
+        caption = f"{result.part.title} after {seconds:g} s: pictures at exposure 0, close-ups, error maps; {methods}."
+        grid = charts.as_jpeg(charts.picture_grid(result, groups))
+        content.append(Image(f"{name}-pictures-{seconds:g}s", grid, caption))
+    return Section(result.part.title, [TWO_TABLES] if variants is not None else [], content)
+
+
+def _further(directory: Path) -> Section:
+    images = [Image(f"{directory.name}-{p.stem}", p.read_bytes(), p.stem) for p in sorted(directory.glob("*.png"))]
+    return Section(f"Inside the forecast: {directory.name}", [], images)
+
+
+def _write(path: Path, data: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, lambda file: file.write_bytes(data))

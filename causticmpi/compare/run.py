@@ -1,0 +1,40 @@
+"""One comparison from its config to its report."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from causticmpi.compare.analysis import analyse
+from causticmpi.compare.charts import require_matplotlib
+from causticmpi.compare.execute import execute
+from causticmpi.compare.load import Plan, load_plan
+from causticmpi.compare.report import write_reports
+from causticmpi.distributed.world import World
+
+
+def compare(
+    world: World,
+    config: str,
+    settings: Sequence[str],
+    out: str | None,
+    command: tuple[str, ...],
+    references_only: bool = False,
+    more: Sequence[Path] = (),
+) -> int:
+    """Collective. Make what is missing, then have rank 0 measure and write; returns the exit code.
+
+    settings: overrides of the config; out: instead of its output directory; more: see `write_reports`. Raises
+    AgreedInputError for bad input. Stopped by a signal, it leaves a file `unfinished` and returns 0.
+    """
+
+    def read_plan() -> Plan:
+        require_matplotlib()
+        return load_plan(config, settings, out)
+
+    outcome = execute(world, read_plan, command, references_only)
+    if world.is_root:
+        if outcome.signal:
+            print(f"{outcome.plan.directory}: stopped by signal {outcome.signal}; start it again to go on", flush=True)
+        elif not references_only:
+            print("measuring", flush=True)
+            print(write_reports(outcome.plan, analyse(outcome.plan, outcome.references), more), flush=True)
+    return 0

@@ -1,0 +1,87 @@
+"""Confidence intervals over seeds, slopes in log-log charts, and a t-test of many means at once."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+CONFIDENCE = 0.95
+DECADE = 10.0
+FEWEST_POINTS = 4
+
+
+@dataclass(frozen=True)
+class Interval:
+    """mean +- half (95 %, Student's t) of `count` values; half is nan for a single one."""
+
+    mean: float
+    half: float
+    count: int
+
+
+def interval(values: list[float] | np.ndarray) -> Interval:
+    """Mean and confidence interval of independent values; nan without any."""
+    from scipy import stats
+
+    x = np.asarray(values, np.float64)
+    if len(x) == 0:
+        return Interval(float("nan"), float("nan"), 0)
+    if len(x) == 1:
+        return Interval(float(x[0]), float("nan"), 1)
+    half = stats.t.ppf(0.5 + CONFIDENCE / 2, len(x) - 1) * x.std(ddof=1) / np.sqrt(len(x))
+    return Interval(float(x.mean()), float(half), len(x))
+
+
+def slope(passes: np.ndarray, errors: np.ndarray) -> float:
+    """Least-squares slope of log error against log passes over the last decade of passes.
+
+    nan with fewer than FEWEST_POINTS positive errors there, or where they span less than a factor of three.
+    """
+    n, e = np.asarray(passes, np.float64), np.asarray(errors, np.float64)
+    if len(n) == 0:
+        return float("nan")
+    kept = (n >= n.max() / DECADE * (1 - 1e-9)) & (e > 0) & np.isfinite(e)
+    if kept.sum() < FEWEST_POINTS or n[kept].max() < 3 * n[kept].min():
+        return float("nan")
+    return float(np.polyfit(np.log(n[kept]), np.log(e[kept]), 1)[0])
+
+
+def sidak(p: float, tests: int) -> float:
+    """Probability that the least of `tests` independent p-values is at most p [Sidak 1967]."""
+    return float(-np.expm1(tests * np.log1p(-min(p, 1 - 1e-16))))
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Welch's t-tests of `tests` means at once. p: Sidak-corrected least; z: largest deviation in standard errors;
+    difference: of the overall means, relative."""
+
+    p: float
+    z: float
+    tests: int
+    difference: float
+
+
+def agreement(a: np.ndarray, b: np.ndarray) -> Agreement:
+    """Do the columns of (m, k) and (n, k) independent values have equal means? Raises ValueError for m or n < 2."""
+    from scipy import stats
+
+    if len(a) < 2 or len(b) < 2:
+        raise ValueError("a variance needs two values")
+    va, vb = a.var(axis=0, ddof=1) / len(a), b.var(axis=0, ddof=1) / len(b)
+    freedom = (va + vb) ** 2 / np.maximum(va**2 / (len(a) - 1) + vb**2 / (len(b) - 1), 1e-300)
+    difference, variance = a.mean(axis=0) - b.mean(axis=0), va + vb
+    exact = np.where(difference == 0, 0.0, np.inf)  # where nothing varies, means must be equal
+    z = np.where(variance > 0, np.abs(difference) / np.sqrt(np.where(variance > 0, variance, 1.0)), exact)
+    p = 2 * stats.t.sf(z, np.maximum(freedom, 1.0))
+    relative = float(difference.mean() / max(abs(b.mean()), 1e-300))
+    return Agreement(sidak(float(p.min()), p.size), float(z.max()), int(p.size), relative)
+
+
+def block_means(picture: np.ndarray, side: int) -> np.ndarray:
+    """Means over side x side pixels of (H, W, C), flat; blocks at the right and lower border may be smaller."""
+    height, width, _ = picture.shape
+    rows, columns = np.arange(0, height, side), np.arange(0, width, side)
+    sums = np.add.reduceat(np.add.reduceat(picture.astype(np.float64), rows, axis=0), columns, axis=1)
+    tall, wide = np.diff([*rows, height]), np.diff([*columns, width])
+    means: np.ndarray = (sums / (tall[:, None] * wide[None, :])[..., None]).ravel()
+    return means
