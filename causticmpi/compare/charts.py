@@ -66,7 +66,7 @@ def _curve(panel: "Axes", group: Group, metric: str, colour: str, against: str) 
     for measured in group.runs:
         points = [(getattr(p, against), getattr(p.errors, metric)) for p in measured.points]
         xy = np.array([(x, y) for x, y in points if np.isfinite(y) and y > 0])
-        if len(xy):
+        if len(xy) > 1:
             curves.append(xy)
             if len(group.runs) > 1:
                 panel.plot(*xy.T, color=colour, linewidth=0.7, alpha=0.35)
@@ -94,8 +94,7 @@ def _plain_ticks(panel: "Axes") -> None:
 
     for axis in (panel.xaxis, panel.yaxis):
         low, high = axis.get_view_interval()
-        narrow = high < 30 * low
-        axis.set_major_locator(LogLocator(10, subs=(1.0, 2.0, 5.0) if narrow else (1.0,)))
+        axis.set_major_locator(LogLocator(10, subs=(1.0, 2.0, 5.0) if high < 200 * low else (1.0,)))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_formatter(NullFormatter())
 
@@ -129,7 +128,7 @@ def picture_grid(result: PartResult, groups: Sequence[Group]) -> "Figure":
     pictures = [("reference", result.reference.rgb)]
     pictures += [(f"{g.name}\n{g.runs[0].final.passes} samples per pixel", g.rgb) for g in groups]
     for column, (name, rgb) in enumerate(pictures):
-        _show_picture(cells[:, column], name, rgb, result)
+        _show_picture(list(cells[:, column]), name, rgb, result)
     errors = [relative_error(group.rgb, result.reference) for group in groups]
     top = max(float(np.percentile(np.concatenate([e.ravel() for e in errors]), 99)), 1e-5)
     signed_top = max(float(np.percentile(np.abs(np.concatenate([g.signed.ravel() for g in groups])), 99)), 1e-6)

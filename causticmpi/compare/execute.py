@@ -4,6 +4,7 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from causticmpi.compare.files import FINISHED, SNAPSHOTS, is_finished, mark_finished, run_key
 from causticmpi.compare.load import Plan, Run
@@ -58,17 +59,13 @@ class Outcome:
     references: Mapping[str, ReferencePicture]
 
 
-def execute(
-    world: World, read_plan: Callable[[], Plan], command: tuple[str, ...], references_only: bool
-) -> Outcome:
+def execute(world: World, read_plan: Callable[[], Plan], command: tuple[str, ...], references_only: bool) -> Outcome:
     """Collective. Make the references that are missing, then the runs that are missing.
 
     Raises AgreedInputError for bad input, before any run is started.
     """
     plan, scenes, references = _read(world, read_plan)
-    wanted: list[Task] = world.broadcast(
-        _missing_batches(world, plan, scenes, references) if world.is_root else None
-    )
+    wanted: list[Task] = world.broadcast(_missing_batches(world, plan, scenes, references) if world.is_root else None)
     with StopFlag() as flag:
         runs: list[Task] = [] if references_only else world.broadcast(_missing_runs(world, plan, scenes))
         _warm_up(world, [task.run for task in (*wanted, *runs)], scenes)
@@ -154,7 +151,7 @@ def _warm_up(world: World, runs: Sequence[Run], scenes: Scenes) -> None:
     kinds = {(run.config.method, run.config.forecast.sampling, scenes.specular[run.part]): run for run in runs}
     for (method, _, specular), run in kinds.items():
         forecasting = specular and method in FORECASTING
-        world.first_on_node(lambda run=run, forecasting=forecasting: warm_up(run.config, world.is_root, forecasting))
+        world.first_on_node(partial(warm_up, run.config, world.is_root, forecasting))
 
 
 def _make(world: World, tasks: Sequence[Task], command: tuple[str, ...], flag: StopFlag, kind: str) -> int:
@@ -170,14 +167,12 @@ def _make(world: World, tasks: Sequence[Task], command: tuple[str, ...], flag: S
             pace = (time.monotonic() - began) / done if done > 0 else 1.0
             left = clock(pace * (whole - done))
             budget = f"{run.seconds:g} s" if run.seconds is not None else f"{run.config.budget.spp} samples per pixel"
-            print(
-                f"{kind} {number} of {len(tasks)}, about {left} left: {run.part}, {run.label}, {budget}, seed {run.seed}",
-                flush=True,
-            )
+            what = f"{run.part}, {run.label}, {budget}, seed {run.seed}"
+            print(f"{kind} {number} of {len(tasks)}, about {left} left: {what}", flush=True)
             (run.directory / FINISHED).unlink(missing_ok=True)
         snapshots = Snapshots() if task.snapshots else None
-        request = Request(run.config, run.scene_file, True, command)
-        signal = render_one(world, lambda request=request: request, Stopwatch(from_now=True), flag, snapshots)
+        read_request = partial(Request, run.config, run.scene_file, True, command)
+        signal = render_one(world, read_request, Stopwatch(from_now=True), flag, snapshots)
         if signal:
             return signal
         if world.is_root:

@@ -97,8 +97,9 @@ def load_plan(file: str | Path, overrides: Mapping[str, str] | Sequence[str] = (
         for part in parts:
             merged = _merged(source, ("reference", role, "set"), part.base, part.scene, path, batches.set)
             if merged.method in BIASED:
-                raise source.error(("reference", role, "set"), f"found {merged.method}, which is biased; allowed: an"
-                                   " unbiased method")
+                raise source.error(
+                    ("reference", role, "set"), f"found {merged.method}, which is biased; allowed: an unbiased method"
+                )
         _budget(source, ("reference", role, "budget"), batches)
     return Plan(config, path, directory, Path(config.reference.directory), tuple(parts))
 
@@ -172,9 +173,7 @@ def _part(
 def batch_runs(plan: Plan, part: Part, batches: Batches, role: str, directory: Path) -> list[Run]:
     """The renders a reference of this part consists of. role: estimate or check; their seeds do not overlap."""
     first = plan.config.reference.seed + (0 if role == "estimate" else batches.batches * 1000)
-    config = load_config(
-        _beside(plan.file, part.scene.config), [*plain_text(part.scene.set), *plain_text(batches.set)]
-    )
+    config = load_config(_beside(plan.file, part.scene.config), [*plain_text(part.scene.set), *plain_text(batches.set)])
     budget = check_budget(batches.budget)
     seconds = None if budget.time is None else float(budget.time)
     return [
@@ -208,8 +207,10 @@ def _merged(
     """The render config of a scene with overrides; an error names the compare config's line as well."""
     for key in overrides:
         if key in ("seed", "scene") or key.split(".")[0] in ("budget", "output", "film", "camera") and base is not None:
-            raise source.error((*keys, key), "found it here; allowed: keys of the method; budgets, seeds and pictures"
-                               " are the comparison's")
+            raise source.error(
+                (*keys, key),
+                "found it here; allowed: keys of the method; budgets, seeds and pictures are the comparison's",
+            )
     try:
         return load_config(_beside(file, scene.config), [*plain_text(scene.set), *plain_text(overrides)])
     except InputError as error:

@@ -44,10 +44,12 @@ PAPER = {
         _timings(306, 2290, 5.4, 9.4, 4.9, 190),
         200_000,
     ),
-    "ring": PaperScene("Figure 5, Ring (Table 1: 8 min)", None, _timings(869, 2610, 15.7, 47.1, 21.7, 172.1), 1_000_000),
+    "ring": PaperScene(
+        "Figure 5, Ring (Table 1: 8 min)", None, _timings(869, 2610, 15.7, 47.1, 21.7, 172.1), 1_000_000
+    ),
 }
 
 TWO_TABLES = (
-    "The paper's section 4 says of two tables against one: 16 % fewer samples per second, and a root mean squared error "
-    "lower by just over 1 %; of one table smoothed by a Gaussian: convergence very poor."
+    "The paper's section 4 says of two tables against one: 16 % fewer samples per second, and a root mean squared "
+    "error lower by just over 1 %; of one table smoothed by a Gaussian: convergence very poor."
 )

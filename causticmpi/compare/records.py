@@ -55,8 +55,9 @@ class Batches(Record):
 class Reference(Record):
     """How references are made: `batches` of one unbiased method, checked against those of another by a t-test.
 
-    directory: where they are kept, for any comparison, relative to the current directory like `output`; seed: of the first batch, far from the seeds of the runs;
-    block: side in pixels of the squares whose means are compared.
+    directory: where they are kept, for any comparison, relative to the current directory like `output`;
+    seed: of the first batch, far from the seeds of the runs; block: side in pixels of the squares whose means are
+    compared.
     """
 
     estimate: Batches

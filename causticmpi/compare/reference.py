@@ -83,7 +83,7 @@ def assemble(part: Part, batches: Sequence[Run], directory: Path, scene_hash: st
     merged, passes, means = _merge(estimate, block)
     _, check_passes, check_means = _merge(check, block)
     verdict = agreement(means, check_means)
-    facts = {
+    facts: dict[str, Any] = {
         "scene_hash": scene_hash,
         "film": _film(part),
         "estimate": _described(estimate, passes),

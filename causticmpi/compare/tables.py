@@ -29,7 +29,9 @@ class Table:
 
 def number(value: float, digits: int = 3) -> str:
     """A number for people; a dash for nan."""
-    return NOTHING if not math.isfinite(value) else f"{value:.{digits}g}"
+    if not math.isfinite(value):
+        return NOTHING
+    return f"{value:.0f}" if abs(value) >= 10**digits else f"{value:.{digits}g}"
 
 
 def with_interval(found: Interval) -> str:
@@ -60,8 +62,15 @@ def error_table(result: PartResult, seconds: float) -> Table:
         f"errors-{result.part.name}-{seconds:g}s",
         f"{result.part.title}: after {seconds:g} s",
         (
-            "method", "samples per pixel", "RMSE", "relMSE", "relMSE trimmed", "relMSE in mask",
-            "relMSE in mask, trimmed", "FLIP", "efficiency / pt",
+            "method",
+            "samples per pixel",
+            "RMSE",
+            "relMSE",
+            "relMSE trimmed",
+            "relMSE in mask",
+            "relMSE in mask, trimmed",
+            "FLIP",
+            "efficiency / pt",
         ),
         tuple(rows),
         f"Mean ± 95 % interval over {seeds} seed{'s' if seeds > 1 else ''}. Trimmed: the worst 0.1 % of pixels left "
@@ -89,8 +98,8 @@ def slope_table(result: PartResult) -> Table:
             (group.name, _range(group), *(with_interval(group.slope(metric)) for metric in CURVES)) for group in groups
         ),
         f"Fitted to the last decade of passes of each run by itself, mean ± 95 % interval over {len(groups[0].runs)} "
-        "seeds. An unbiased method has -1 in squared errors; a biased one flattens towards its floor, the last error of "
-        "the table above.",
+        "seeds. An unbiased method has -1 in squared errors; a biased one flattens towards its floor, the last error "
+        "of the table above.",
     )
 
 
@@ -187,9 +196,9 @@ def timing_table(results: Sequence[PartResult]) -> Table | None:
         tuple(columns),
         tuple((name, *row) for name, row in zip(names, values, strict=True)),
         f"Ours: wall clock on all ranks ({results[0].longest[0].runs[0].report['ranks']}), the preprocess on rank 0 "
-        "alone. Total without caustics: the cost of a pass of L_d alone, measured in a run of its own, times the passes "
-        "of the run with caustics. CDFs are created for every group of neighbouring vertices inside the compiled gather "
-        "and are not timed apart (–).",
+        "alone. Total without caustics: the cost of a pass of L_d alone, measured in a run of its own, times the "
+        "passes of the run with caustics. CDFs are created for every group of neighbouring vertices inside the "
+        "compiled gather and are not timed apart (–).",
     )
 
 
