@@ -10,7 +10,7 @@ from causticmpi.compare.files import read_layers, read_report, read_snapshots
 from causticmpi.compare.load import Part, Plan, Run
 from causticmpi.compare.metrics import Errors, caustic_mask, flip_missing, measure, signed_error
 from causticmpi.compare.reference import ReferencePicture
-from causticmpi.compare.statistics import Interval, interval, slope
+from causticmpi.compare.statistics import Interval, interval, mean_slope
 from causticmpi.output.directory import EXR
 
 CURVES = {
@@ -53,7 +53,7 @@ class Measured:
 class Group:
     """All seeds of one variant at one budget. name: the label, with `(biased)` where it belongs.
 
-    rgb: the first seed's picture; signed: smoothed I - R, mean over seeds.
+    rgb: the first seed's picture; signed: smoothed signed relative error, mean over seeds.
     """
 
     label: str
@@ -82,13 +82,19 @@ class Group:
         """Samples per pixel over seeds."""
         return interval([m.final.passes for m in self.runs])
 
+    def curves(self, metric: str, against: str = "passes") -> list[np.ndarray]:
+        """(n, 2) of every seed: passes or seconds, and error; seeds without two known errors are left out."""
+        found = []
+        for measured in self.runs:
+            points = np.array([(getattr(p, against), getattr(p.errors, metric)) for p in measured.points], np.float64)
+            points = points[np.isfinite(points[:, 1])]
+            found += [points] if len(points) > 1 else []
+        return found
+
     def slope(self, metric: str) -> Interval:
-        """Slope of log error against log passes, fitted to every seed by itself."""
-        fits = [
-            slope(np.array([p.passes for p in m.points]), np.array([getattr(p.errors, metric) for p in m.points]))
-            for m in self.runs
-        ]
-        return interval([fit for fit in fits if np.isfinite(fit)])
+        """Slope of log error against log passes."""
+        curves = self.curves(metric)
+        return mean_slope(curves) if curves else interval([])
 
 
 @dataclass

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from causticmpi.compare.analysis import CURVES, Group, PartResult
+from causticmpi.compare.analysis import CURVES, SMOOTHING, Group, PartResult
 from causticmpi.compare.metrics import relative_error
+from causticmpi.compare.statistics import mean_curve
 from causticmpi.errors import InputError
 from causticmpi.output.png import srgb_bytes
 
@@ -62,30 +63,19 @@ def error_chart(result: PartResult, palette: Mapping[str, str], against: str) ->
 def _curve(panel: "Axes", group: Group, metric: str, colour: str, against: str) -> None:
     fit = group.slope(metric)
     label = group.name + (f" ({fit.mean:.2f})" if np.isfinite(fit.mean) else "")
-    curves = []
-    for measured in group.runs:
-        points = [(getattr(p, against), getattr(p.errors, metric)) for p in measured.points]
-        xy = np.array([(x, y) for x, y in points if np.isfinite(y) and y > 0])
-        if len(xy) > 1:
-            curves.append(xy)
-            if len(group.runs) > 1:
-                panel.plot(*xy.T, color=colour, linewidth=0.7, alpha=0.35)
+    curves = group.curves(metric, against)
     if not curves:
         return
-    x, y = _mean_curve(curves)
-    panel.plot(x, y, "-o", color=colour, markersize=3.5, linewidth=1.8, label=label)
+    if len(curves) > 1:
+        for curve in curves:
+            panel.plot(*_positive(curve).T, color=colour, linewidth=0.7, alpha=0.35)
+    mean = _positive(mean_curve(curves))
+    panel.plot(*mean.T, "-o", color=colour, markersize=3.5, linewidth=1.8, label=label)
 
 
-def _mean_curve(curves: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Mean over seeds where all of them have values, interpolated in log-log."""
-    if len(curves) == 1:
-        return curves[0][:, 0], curves[0][:, 1]
-    low, high = max(c[0, 0] for c in curves), min(c[-1, 0] for c in curves)
-    if low >= high:
-        return np.array([high]), np.array([np.mean([c[-1, 1] for c in curves])])
-    x = np.geomspace(low, high, max(len(c) for c in curves))
-    logs = [np.interp(np.log(x), np.log(c[:, 0]), np.log(c[:, 1])) for c in curves]
-    return x, np.exp(logs).mean(axis=0)
+def _positive(curve: np.ndarray) -> np.ndarray:
+    """Without the points that a logarithmic axis cannot show."""
+    return curve[curve[:, 1] > 0]
 
 
 def _plain_ticks(panel: "Axes") -> None:
@@ -145,7 +135,7 @@ def picture_grid(result: PartResult, groups: Sequence[Group]) -> "Figure":
     cells[-2, 0].text(0.5, 0.5, "squared relative\nerror, first seed", ha="center", va="center", fontsize=11)
     cells[-1, 0].text(
         0.5, 0.5,
-        "signed error I - R\n[radiance], mean of\n" + f"{seeds} seed(s) and of\n7 x 7 pixels\nred: too bright",
+        f"signed relative error,\nmean of {seeds} seed(s) and\nof {SMOOTHING} x {SMOOTHING} pixels;\nred: too bright",
         ha="center", va="center", fontsize=11,
     )  # fmt: skip
     figure.suptitle(f"{result.part.title}: after {groups[0].seconds:g} s", fontsize=13)

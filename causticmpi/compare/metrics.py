@@ -50,10 +50,11 @@ def relative_error(rgb: np.ndarray, reference: ReferencePicture) -> np.ndarray:
 
 
 def signed_error(rgb: np.ndarray, reference: ReferencePicture, side: int) -> np.ndarray:
-    """(H, W) mean over channels of I - R, smoothed over side x side pixels so that bias shows through noise."""
+    """(H, W) mean over channels of (I - R) / sqrt(R^2 + 0.01), smoothed over side x side pixels: bias shows through."""
     from scipy.ndimage import uniform_filter
 
-    smooth: np.ndarray = uniform_filter((rgb - reference.rgb).mean(axis=-1), side, mode="nearest")
+    relative = (rgb - reference.rgb) / np.sqrt(reference.rgb**2 + RELMSE_FLOOR)
+    smooth: np.ndarray = uniform_filter(relative.mean(axis=-1), side, mode="nearest")
     return smooth
 
 

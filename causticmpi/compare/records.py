@@ -1,6 +1,6 @@
 """What a compare config may say, as frozen records: one record per YAML section, defaults included."""
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
@@ -30,7 +30,7 @@ class Scene(Record):
     seeds: PositiveInt | None = None
     closeups: list[Rectangle] = []
     reference: str | None = None
-    paper: str | None = None
+    paper: Literal["cornell", "figurines", "ring"] | None = None
 
 
 class Variant(Record):

@@ -1,5 +1,6 @@
 """Confidence intervals over seeds, slopes in log-log charts, and a t-test of many means at once."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,6 +49,36 @@ def slope(passes: np.ndarray, errors: np.ndarray) -> float:
 def sidak(p: float, tests: int) -> float:
     """Probability that the least of `tests` independent p-values is at most p [Sidak 1967]."""
     return float(-np.expm1(tests * np.log1p(-min(p, 1 - 1e-16))))
+
+
+def mean_curve(curves: Sequence[np.ndarray]) -> np.ndarray:
+    """(k, 2) x and mean error of several curves, (n, 2) each and ascending in x, where all of them have values.
+
+    Between its points x * error is interpolated, which hardly varies along a curve of slope -1.
+    """
+    if len(curves) == 1:
+        return curves[0]
+    low, high = max(c[0, 0] for c in curves), min(c[-1, 0] for c in curves)
+    if low >= high:
+        return np.zeros((0, 2))
+    x = np.geomspace(low, high, max(len(c) for c in curves))
+    scaled = [np.interp(np.log(x), np.log(c[:, 0]), c[:, 0] * c[:, 1]) for c in curves]
+    return np.stack([x, np.mean(scaled, axis=0) / x], axis=1)
+
+
+def mean_slope(curves: Sequence[np.ndarray]) -> Interval:
+    """Slope of the mean curve, with a jackknife interval over the curves.
+
+    Slopes of single curves would be too flat: where few passes leave rare bright samples out, most curves are low.
+    """
+    from scipy import stats
+
+    fit, n = slope(*mean_curve(curves).T), len(curves)
+    if n < 2:
+        return Interval(fit, float("nan"), n)
+    without = np.array([slope(*mean_curve([*curves[:i], *curves[i + 1 :]]).T) for i in range(n)])
+    deviation = np.sqrt((n - 1) / n * np.sum((without - without.mean()) ** 2))
+    return Interval(fit, float(stats.t.ppf(0.5 + CONFIDENCE / 2, n - 1) * deviation), n)
 
 
 @dataclass(frozen=True)
