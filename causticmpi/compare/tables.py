@@ -98,8 +98,8 @@ def slope_table(result: PartResult) -> Table:
             (group.name, _range(group), *(with_interval(group.slope(metric)) for metric in CURVES)) for group in groups
         ),
         f"Fitted to the last decade of passes of the mean over {len(groups[0].runs)} seeds, with a 95 % interval by "
-        "the jackknife. An unbiased method has -1 in squared errors; a biased one flattens towards its floor, the last error "
-        "of the table above.",
+        "the jackknife. An unbiased method has -1 in squared errors; a biased one flattens towards its floor, the last "
+        "error of the table above.",
     )
 
 
