@@ -7,7 +7,7 @@ import pytest
 
 from causticmpi.compare.metrics import caustic_mask, flip_missing, mean_flip, measure, signed_error, trimmed
 from causticmpi.compare.reference import ReferencePicture
-from causticmpi.compare.statistics import agreement, block_means, interval, mean_curve, mean_slope, slope
+from causticmpi.compare.statistics import agreement, block_means, floor, interval, jackknife, mean_curve, slope
 
 
 def reference(rgb: np.ndarray, variance: float = 0.0, caustic: np.ndarray | None = None) -> ReferencePicture:
@@ -62,33 +62,52 @@ def test_signed_error_keeps_the_sign_and_its_scale() -> None:
     assert signed_error(truth - 0.05, known, 3) == pytest.approx(-0.05 / math.sqrt(0.05))
 
 
+def curve(x: list[float] | np.ndarray, errors: list[float] | np.ndarray) -> np.ndarray:
+    """(n, 2) of passes and errors."""
+    return np.stack([np.asarray(x, float), np.asarray(errors, float)], axis=1)
+
+
+PASSES = np.array([1, 2, 4, 8, 16, 32, 64, 128])
+
+
 def test_slope_of_an_exact_power_and_of_its_last_decade_only() -> None:
-    passes = np.array([1, 2, 4, 8, 16, 32, 64, 128])
-    assert slope(passes, 3.0 / passes) == pytest.approx(-1)
-    assert slope(passes, 3.0 / np.sqrt(passes)) == pytest.approx(-0.5)
-    bent = np.where(passes < 12.8, 100.0, 1.0 / passes)
-    assert slope(passes, bent) == pytest.approx(-1)
-    assert slope(passes, 1.0 / passes + 1.0) > -0.05  # a floor
+    assert slope(curve(PASSES, 3.0 / PASSES)) == pytest.approx(-1)
+    assert slope(curve(PASSES, 3.0 / np.sqrt(PASSES))) == pytest.approx(-0.5)
+    assert slope(curve(PASSES, np.where(PASSES < 12.8, 100.0, 1.0 / PASSES))) == pytest.approx(-1)
+    assert slope(curve(PASSES, 1.0 / PASSES + 1.0)) > -0.05  # a floor
 
 
 def test_slope_is_unknown_from_too_little() -> None:
-    assert math.isnan(slope(np.array([]), np.array([])))
-    assert math.isnan(slope(np.array([10, 20, 40]), np.array([1, 0.5, 0.25])))
-    assert math.isnan(slope(np.array([10, 11, 12, 13]), np.array([4, 3, 2, 1])))
-    assert math.isnan(slope(np.array([10, 20, 40, 80]), np.array([1, -0.5, 0.2, 0.1])))
+    assert math.isnan(slope(np.zeros((0, 2))))
+    assert math.isnan(slope(curve([10, 20, 40], [1, 0.5, 0.25])))
+    assert math.isnan(slope(curve([10, 11, 12, 13], [4, 3, 2, 1])))
+    assert math.isnan(slope(curve([10, 20, 40, 80], [1, -0.5, 0.2, 0.1])))
 
 
-def test_slope_of_the_mean_of_curves_that_end_at_different_passes() -> None:
+def test_floor_is_what_remains() -> None:
+    assert floor(curve(PASSES, 3.0 / PASSES + 0.25)) == pytest.approx(0.25)
+    assert floor(curve(PASSES, 3.0 / PASSES)) == pytest.approx(0, abs=1e-12)
+    assert math.isnan(floor(curve([1, 2, 3], [3, 2, 1])))
+
+
+def test_curves_that_end_at_different_passes_have_a_mean() -> None:
     lengths = [np.array([2, 4, 8, 16, 32, 64]) * first for first in (1, 1.3, 1.7)]
-    curves = [np.stack([x, height / x], axis=1) for x, height in zip(lengths, (1.0, 2.0, 9.0), strict=True)]
+    curves = [curve(x, height / x) for x, height in zip(lengths, (1.0, 2.0, 9.0), strict=True)]
     mean = mean_curve(curves)
     assert mean[0, 0] == pytest.approx(3.4) and mean[-1, 0] == pytest.approx(64)
     assert mean[:, 0] * mean[:, 1] == pytest.approx(4.0)
-    found = mean_slope(curves)
+    found = jackknife(curves, slope)
     assert found.mean == pytest.approx(-1) and found.half == pytest.approx(0, abs=1e-9)
     curves[2][:, 1] = 9.0
-    assert mean_slope(curves).half > 0.1
+    assert jackknife(curves, slope).half > 0.1
     assert len(mean_curve([curves[0], curves[0] * (1000, 1)])) == 0
+
+
+def test_jackknife_of_a_mean_is_its_confidence_interval() -> None:
+    heights = [1.0, 2.0, 3.0, 4.0]
+    curves = [curve(PASSES, np.full(8, height)) for height in heights]
+    found, known = jackknife(curves, lambda mean: float(mean[-1, 1])), interval(heights)
+    assert (found.mean, found.half) == (pytest.approx(known.mean), pytest.approx(known.half))
 
 
 def test_interval_is_students() -> None:

@@ -69,7 +69,7 @@ def test_everything_is_written(compared: Path) -> None:
     assert {p.name for p in out.iterdir()} == {
         "figures", "measurements.csv", "report.html", "runs", "tables", "tables.md",
     }  # fmt: skip
-    for name in ("samples", "table-1", "errors-cornell-0.8s", "slopes-cornell", "variants-cornell"):
+    for name in ("samples", "table-1", "errors-cornell-0.8s", "slopes-cornell"):
         assert (out / "tables" / f"{name}.csv").stat().st_size > 0
     facts = json.loads(next((compared / "references").glob("*/reference.json")).read_text())
     assert facts["estimate"]["samples_per_pixel"] == 64 and facts["check"]["samples_per_pixel"] == 128

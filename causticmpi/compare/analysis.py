@@ -10,7 +10,7 @@ from causticmpi.compare.files import read_layers, read_report, read_snapshots
 from causticmpi.compare.load import Part, Plan, Run
 from causticmpi.compare.metrics import Errors, caustic_mask, flip_missing, measure, signed_error
 from causticmpi.compare.reference import ReferencePicture
-from causticmpi.compare.statistics import Interval, interval, mean_slope
+from causticmpi.compare.statistics import Interval, floor, interval, jackknife, slope
 from causticmpi.output.directory import EXR
 
 CURVES = {
@@ -94,7 +94,12 @@ class Group:
     def slope(self, metric: str) -> Interval:
         """Slope of log error against log passes."""
         curves = self.curves(metric)
-        return mean_slope(curves) if curves else interval([])
+        return jackknife(curves, slope) if curves else interval([])
+
+    def floor(self, metric: str) -> Interval:
+        """Error that would remain after many passes; 0 but for noise unless the method is biased."""
+        curves = self.curves(metric)
+        return jackknife(curves, floor) if curves else interval([])
 
 
 @dataclass

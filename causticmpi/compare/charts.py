@@ -46,12 +46,14 @@ def error_chart(result: PartResult, palette: Mapping[str, str], against: str) ->
             _curve(panel, group, metric, palette[group.label], against)
         panel.set(xscale="log", yscale="log", title=name)
         panel.set_xlabel("wall-clock time [s]" if against == "seconds" else "passes (samples per pixel)")
-        panel.grid(True, which="major", color="#dddddd", linewidth=0.8)
-        panel.set_axisbelow(True)
-        _plain_ticks(panel)
         if metric != "flip" and against == "passes":
             _guide(panel)
-        panel.legend(fontsize=7.5, frameon=False)
+        panel.grid(True, which="major", color="#dddddd", linewidth=0.8)
+        panel.set_axisbelow(True)
+        low, high = panel.get_ylim()
+        panel.set_ylim(low * (low / high) ** 0.35, high)  # curves fall: the lower left is free for the legend
+        _plain_ticks(panel)
+        panel.legend(fontsize=8, loc="lower left", framealpha=0.85, edgecolor="none")
     axis = "time" if against == "seconds" else "passes"
     figure.suptitle(
         f"{result.part.title}: error against {axis}, budget {result.longest[0].seconds:g} s, "

@@ -67,7 +67,9 @@ def execute(world: World, read_plan: Callable[[], Plan], command: tuple[str, ...
     plan, scenes, references = _read(world, read_plan)
     wanted: list[Task] = world.broadcast(_missing_batches(world, plan, scenes, references) if world.is_root else None)
     with StopFlag() as flag:
-        runs: list[Task] = [] if references_only else world.broadcast(_missing_runs(world, plan, scenes))
+        runs: list[Task] = (
+            [] if references_only else world.broadcast(_missing_runs(world, plan, scenes) if world.is_root else None)
+        )
         _warm_up(world, [task.run for task in (*wanted, *runs)], scenes)
         signal = _make(world, wanted, command, flag, "reference")
         if signal == 0 and world.is_root:

@@ -19,6 +19,8 @@ from causticmpi.render.methods import BIASED
 
 NO_PROGRESSIVE_PICTURES = 1e9
 """Seconds between pictures: a run of a comparison writes at its end alone, so that its report means it is whole."""
+LONGEST_TIMING = 20.0
+"""Seconds: a run that is only timed needs no more."""
 
 
 @dataclass(frozen=True)
@@ -148,7 +150,7 @@ def _part(
                 settings[variant.label],
                 directory / "runs" / name / _file_name(variant) / f"{seconds:g}s-{seed}",
                 seed,
-                time=seconds,
+                time=min(seconds, LONGEST_TIMING) if variant.timing_only else seconds,
             ),
             scene_path(_beside(file, scene.config), base),
         )

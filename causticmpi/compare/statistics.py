@@ -1,6 +1,6 @@
 """Confidence intervals over seeds, slopes in log-log charts, and a t-test of many means at once."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,12 +32,12 @@ def interval(values: list[float] | np.ndarray) -> Interval:
     return Interval(float(x.mean()), float(half), len(x))
 
 
-def slope(passes: np.ndarray, errors: np.ndarray) -> float:
-    """Least-squares slope of log error against log passes over the last decade of passes.
+def slope(curve: np.ndarray) -> float:
+    """Least-squares slope of log error against log passes over the last decade of a curve's passes, (n, 2).
 
     nan with fewer than FEWEST_POINTS positive errors there, or where they span less than a factor of three.
     """
-    n, e = np.asarray(passes, np.float64), np.asarray(errors, np.float64)
+    n, e = curve.T
     if len(n) == 0:
         return float("nan")
     kept = (n >= n.max() / DECADE * (1 - 1e-9)) & (e > 0) & np.isfinite(e)
@@ -66,19 +66,32 @@ def mean_curve(curves: Sequence[np.ndarray]) -> np.ndarray:
     return np.stack([x, np.mean(scaled, axis=0) / x], axis=1)
 
 
-def mean_slope(curves: Sequence[np.ndarray]) -> Interval:
-    """Slope of the mean curve, with a jackknife interval over the curves.
+def floor(curve: np.ndarray) -> float:
+    """The error f that remains after many passes: fit of f + a / x to a mean curve, (n, 2), relative deviations least.
 
-    Slopes of single curves would be too flat: where few passes leave rare bright samples out, most curves are low.
+    nan with fewer than FEWEST_POINTS positive errors.
+    """
+    x, e = curve[curve[:, 1] > 0].T
+    if len(x) < FEWEST_POINTS:
+        return float("nan")
+    (found, _), *_ = np.linalg.lstsq(np.stack([1 / e, 1 / (x * e)], axis=1), np.ones(len(x)), rcond=None)
+    return float(found)
+
+
+def jackknife(curves: Sequence[np.ndarray], fit: Callable[[np.ndarray], float]) -> Interval:
+    """`fit` of the mean curve, with the interval of leaving out one curve after the other.
+
+    A slope of the mean, not the mean of slopes, which would be too flat: where few passes leave rare bright samples
+    out, most curves are low.
     """
     from scipy import stats
 
-    fit, n = slope(*mean_curve(curves).T), len(curves)
+    value, n = fit(mean_curve(curves)), len(curves)
     if n < 2:
-        return Interval(fit, float("nan"), n)
-    without = np.array([slope(*mean_curve([*curves[:i], *curves[i + 1 :]]).T) for i in range(n)])
+        return Interval(value, float("nan"), n)
+    without = np.array([fit(mean_curve([*curves[:i], *curves[i + 1 :]])) for i in range(n)])
     deviation = np.sqrt((n - 1) / n * np.sum((without - without.mean()) ** 2))
-    return Interval(fit, float(stats.t.ppf(0.5 + CONFIDENCE / 2, n - 1) * deviation), n)
+    return Interval(value, float(stats.t.ppf(0.5 + CONFIDENCE / 2, n - 1) * deviation), n)
 
 
 @dataclass(frozen=True)

@@ -93,13 +93,19 @@ def slope_table(result: PartResult) -> Table:
     return Table(
         f"slopes-{result.part.name}",
         f"{result.part.title}: slope of log error against log passes",
-        ("method", "passes", *CURVES.values()),
+        ("method", "passes", *CURVES.values(), "floor of relMSE", "floor in mask"),
         tuple(
-            (group.name, _range(group), *(with_interval(group.slope(metric)) for metric in CURVES)) for group in groups
+            (
+                group.name,
+                _range(group),
+                *(with_interval(group.slope(metric)) for metric in CURVES),
+                *(with_interval(group.floor(metric)) for metric in ("relmse", "mask_relmse")),
+            )
+            for group in groups
         ),
         f"Fitted to the last decade of passes of the mean over {len(groups[0].runs)} seeds, with a 95 % interval by "
-        "the jackknife. An unbiased method has -1 in squared errors; a biased one flattens towards its floor, the last "
-        "error of the table above.",
+        "the jackknife. An unbiased method has -1 in squared errors and no floor; a biased one "
+        "flattens towards its floor, f in a fit of f + a / passes.",
     )
 
 
@@ -110,9 +116,12 @@ def _range(group: Group) -> str:
 
 
 def variant_table(result: PartResult) -> Table | None:
-    """Every variant against the first one at the longest budget, paired by seed; None for less than two seeds."""
+    """Variants of one method against the first at the longest budget, paired by seed.
+
+    None for less than two seeds, and where methods are compared.
+    """
     first, *others = result.longest
-    if len(first.runs) < 2 or not others:
+    if len(first.runs) < 2 or not others or {group.method for group in others} != {first.method}:
         return None
     rows = []
     for group in others:
