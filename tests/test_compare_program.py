@@ -173,7 +173,7 @@ def test_two_ranks_make_the_same_reference_check(compared: Path, tmp_path: Path)
         ("method: pt}}\n  - {label: cf", "metod: pt}}\n  - {label: cf", 8, "metod"),
         ("label: cf", "label: pt", 9, 'found "pt" twice'),
         ("[[2, 2, 10, 10]]", "[[2, 2, 10, 17]]", 5, "within [0, 0, 16, 16]"),
-        ("label: cf, set: {method: iws+cf", "label: cf, set: {method: iws+cf, seed: 3", 9, "budgets, seeds and"),
+        ("label: cf, set: {method: iws+cf", "label: cf, set: {method: iws+cf, seed: 3", 9, "any key but scene, seed,"),
         ("batches: 4}\n  check", "batches: 1}\n  check", 15, "an integer >= 4 (a t-test needs a variance)"),
         ("{method: pt}, budget: {spp: 32}", "{method: pt}, budget: {}", 16, "neither time nor spp"),
         ("paper: cornell", "paper: teapot", 6, "allowed: one of cornell, figurines, ring"),

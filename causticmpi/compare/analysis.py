@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from causticmpi.compare.files import read_layers, read_report, read_snapshots
-from causticmpi.compare.load import Part, Plan, Run
 from causticmpi.compare.metrics import Errors, caustic_mask, flip_missing, measure, signed_error
+from causticmpi.compare.plan import Part, Plan, Run
 from causticmpi.compare.reference import ReferencePicture
 from causticmpi.compare.statistics import Interval, floor, interval, jackknife, slope
 from causticmpi.output.directory import EXR

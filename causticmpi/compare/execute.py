@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from causticmpi.compare.files import FINISHED, SNAPSHOTS, is_finished, mark_finished, run_key
-from causticmpi.compare.load import Plan, Run
+from causticmpi.compare.plan import Plan, Run
 from causticmpi.compare.reference import (
     ReferencePicture,
     assemble,

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from causticmpi import __version__
-from causticmpi.compare.load import Run
+from causticmpi.compare.plan import Run
 from causticmpi.output.directory import EXR, REPORT, UNFINISHED, write_whole
 
 FINISHED, SNAPSHOTS = "finished.json", "snapshots.npz"

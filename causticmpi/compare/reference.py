@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from causticmpi.compare.files import read_layers, read_report
-from causticmpi.compare.load import Part, Plan, Run, batch_runs
+from causticmpi.compare.load import batch_runs
+from causticmpi.compare.plan import Part, Plan, Run
 from causticmpi.compare.statistics import Agreement, agreement, block_means
 from causticmpi.errors import InputError
 from causticmpi.output.directory import write_whole

@@ -6,10 +6,10 @@ from pathlib import Path
 from causticmpi import __version__
 from causticmpi.compare import charts, tables
 from causticmpi.compare.analysis import PartResult
-from causticmpi.compare.load import Plan
 from causticmpi.compare.metrics import flip_missing
 from causticmpi.compare.page import Image, Section, page
 from causticmpi.compare.paper import TWO_TABLES
+from causticmpi.compare.plan import Plan
 from causticmpi.compare.reference import told
 from causticmpi.compare.tables import Table
 from causticmpi.output.directory import write_whole

@@ -6,7 +6,8 @@ from pathlib import Path
 from causticmpi.compare.analysis import analyse
 from causticmpi.compare.charts import require_matplotlib
 from causticmpi.compare.execute import execute
-from causticmpi.compare.load import Plan, load_plan
+from causticmpi.compare.load import load_plan
+from causticmpi.compare.plan import Plan
 from causticmpi.compare.report import write_reports
 from causticmpi.distributed.world import World
 
