@@ -4,6 +4,7 @@ import json
 import shutil
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from causticmpi.output.directory import write_whole
 from causticmpi.output.exr import write_exr
 from causticmpi.output.picture import Picture
 
-PICTURE, FACTS = "reference.exr", "reference.json"
+PICTURE, FACTS, BLOCKS = "reference.exr", "reference.json", "blocks.npz"
 ALPHA = 1e-3
 """Significance of the check: one in a thousand correct references would fail it."""
 
@@ -78,7 +79,10 @@ def needed_batches(plan: Plan, part: Part, directory: Path) -> list[Run]:
 
 
 def assemble(part: Part, batches: Sequence[Run], directory: Path, scene_hash: str, block: int) -> ReferencePicture:
-    """Merge finished batches into reference.exr and reference.json, and remove them."""
+    """Merge finished batches into reference.exr and reference.json, and remove them.
+
+    blocks.npz keeps the block means of every batch, (batches, rows * columns * 3): where a failed check failed.
+    """
     estimate = [run for run in batches if run.directory.parent.name == "estimate"]
     check = [run for run in batches if run.directory.parent.name == "check"]
     merged, passes, means = _merge(estimate, block)
@@ -101,11 +105,17 @@ def assemble(part: Part, batches: Sequence[Run], directory: Path, scene_hash: st
         "sceneHash": scene_hash,
     }
     write_whole(directory / PICTURE, lambda path: write_exr(path, merged, attributes))
+    write_whole(directory / BLOCKS, partial(_save_blocks, means, check_means))
     text = json.dumps(facts, indent=2, allow_nan=False, default=float) + "\n"
     write_whole(directory / FACTS, lambda path: path.write_text(text))
     for role in ("estimate", "check"):
         shutil.rmtree(directory / role, ignore_errors=True)
     return ReferencePicture(merged.rgb, merged.caustic, merged.variance, facts)
+
+
+def _save_blocks(estimate: np.ndarray, check: np.ndarray, path: Path) -> None:
+    with path.open("wb") as file:
+        np.savez(file, estimate=estimate, check=check)
 
 
 def _merge(runs: Sequence[Run], block: int) -> tuple[Picture, int, np.ndarray]:
