@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 from causticmpi.compare.files import FINISHED, SNAPSHOTS, is_finished, mark_finished, run_key
 from causticmpi.compare.plan import Plan, Run
@@ -118,16 +119,17 @@ def _examine(plan: Plan) -> Scenes:
 def _missing_batches(
     world: World, plan: Plan, scenes: Scenes, references: Mapping[str, ReferencePicture]
 ) -> list[Task]:
-    tasks: dict[str, Task] = {}
+    tasks: dict[Path, list[Task]] = {}
     for part in plan.parts:
-        if part.name in references:
-            continue
         scene_hash = scenes.hashes[part.name]
-        for run in needed_batches(plan, part, reference_directory(plan, part, scene_hash)):
-            key = run_key(run, scene_hash, world.size)
-            if not is_finished(run, key):
-                tasks.setdefault(str(run.directory), Task(run, key, False))  # parts may share a reference
-    return list(tasks.values())
+        directory = reference_directory(plan, part, scene_hash)
+        if part.name in references or directory in tasks:  # parts may share a reference
+            continue
+        found = [
+            Task(run, run_key(run, scene_hash, world.size), False) for run in needed_batches(plan, part, directory)
+        ]
+        tasks[directory] = [task for task in found if not is_finished(task.run, task.key)]
+    return [task for missing in tasks.values() for task in missing]
 
 
 def _missing_runs(world: World, plan: Plan, scenes: Scenes) -> list[Task]:
@@ -150,7 +152,7 @@ def _assembled(plan: Plan, name: str, scenes: Scenes) -> ReferencePicture:
 
 def _warm_up(world: World, runs: Sequence[Run], scenes: Scenes) -> None:
     """Compile and load all kernels before the first budget starts, so that no run pays for those after it."""
-    kinds = {(run.config.method, run.config.forecast.sampling, scenes.specular[run.part]): run for run in runs}
+    kinds = {(run.config.method, run.config.forecast, scenes.specular[run.part]): run for run in runs}
     for (method, _, specular), run in kinds.items():
         forecasting = specular and method in FORECASTING
         world.first_on_node(partial(warm_up, run.config, world.is_root, forecasting))
