@@ -74,7 +74,7 @@ def test_everything_is_written(compared: Path) -> None:
     facts = json.loads(next((compared / "references").glob("*/reference.json")).read_text())
     assert facts["estimate"]["samples_per_pixel"] == 64 and facts["check"]["samples_per_pixel"] == 128
     assert facts["agrees"] and facts["agreement"]["tests"] == 3
-    assert "1442" not in (out / "tables.md").read_text() and "405 in 4 min" in (out / "tables.md").read_text()
+    assert "1442" not in (out / "tables.md").read_text() and "405 (4 min, Figure 4)" in (out / "tables.md").read_text()
 
 
 def test_the_report_needs_no_network_and_no_other_file(compared: Path) -> None:

@@ -63,8 +63,8 @@ def test_samples_stand_beside_the_papers() -> None:
     table = samples_table([box, result(group("pt", "pt", [1], [1]))])
     assert table is not None
     assert [row[1:] for row in table.rows] == [
-        ("pt", "675 in 4 s", "6.75", "405 in 4 min", "6.75"),
-        ("cf", "100 in 4 s", "1", "60 in 4 min", "1"),
+        ("pt", "675 in 4 s", "6.75", "405 (4 min, Figure 4)", "6.75"),
+        ("cf", "100 in 4 s", "1", "60 (4 min, Figure 4)", "1"),
     ]
 
 

@@ -24,7 +24,7 @@ def write_reports(plan: Plan, results: Sequence[PartResult], more: Sequence[Path
     more: directories of further pictures (PNG), such as those of `causticmpi inspect`, to show on the page.
     """
     palette = charts.colours([variant.label for variant in plan.config.variants])
-    sections = [_summary(results), *(_section(result, palette) for result in results)]
+    sections = [_summary(plan, results), *(_section(result, palette) for result in results)]
     sections += [_further(directory) for directory in more]
     figures = plan.directory / "figures"
     figures.mkdir(parents=True, exist_ok=True)
@@ -59,8 +59,12 @@ def _introduction(plan: Plan, results: Sequence[PartResult]) -> list[str]:
     return lines if missing is None else [*lines, missing + "."]
 
 
-def _summary(results: Sequence[PartResult]) -> Section:
-    content = [table for table in (tables.samples_table(results), tables.timing_table(results)) if table is not None]
+def _summary(plan: Plan, results: Sequence[PartResult]) -> Section:
+    content = [
+        table
+        for table in (tables.samples_table(results), tables.timing_table(results, plan.config.scale))
+        if table is not None
+    ]
     disagreeing = [result.part.title for result in results if not result.reference.facts["agrees"]]
     alarm = f"References that failed their check: {', '.join(disagreeing)}." if disagreeing else ""
     references = [f"{result.part.title}: reference by {told(result.reference.facts)}." for result in results]
