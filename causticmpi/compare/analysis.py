@@ -78,6 +78,11 @@ class Group:
         """Mean and confidence interval of the final error over seeds."""
         return interval(self.errors(metric))
 
+    @property
+    def seeds(self) -> str:
+        """How many there are, for people."""
+        return "1 seed" if len(self.runs) == 1 else f"{len(self.runs)} seeds"
+
     def passes(self) -> Interval:
         """Samples per pixel over seeds."""
         return interval([m.final.passes for m in self.runs])

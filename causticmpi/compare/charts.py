@@ -57,7 +57,7 @@ def error_chart(result: PartResult, palette: Mapping[str, str], against: str) ->
     axis = "time" if against == "seconds" else "passes"
     figure.suptitle(
         f"{result.part.title}: error against {axis}, budget {result.longest[0].seconds:g} s, "
-        f"{len(result.longest[0].runs)} seed(s); in brackets the slope against passes"
+        f"{result.longest[0].seeds}; in brackets the slope against passes"
     )
     return figure
 
@@ -133,11 +133,10 @@ def picture_grid(result: PartResult, groups: Sequence[Group]) -> "Figure":
         )
     figure.colorbar(heat, ax=cells[-2, :], fraction=0.03, pad=0.01)
     figure.colorbar(signed, ax=cells[-1, :], fraction=0.03, pad=0.01)
-    seeds = len(groups[0].runs)
     cells[-2, 0].text(0.5, 0.5, "squared relative\nerror, first seed", ha="center", va="center", fontsize=11)
     cells[-1, 0].text(
         0.5, 0.5,
-        f"signed relative error,\nmean of {seeds} seed(s) and\nof {SMOOTHING} x {SMOOTHING} pixels;\nred: too bright",
+        f"signed relative error,\nmean of {groups[0].seeds} and\nof {SMOOTHING} x {SMOOTHING} pixels;\nred: too bright",
         ha="center", va="center", fontsize=11,
     )  # fmt: skip
     figure.suptitle(f"{result.part.title}: after {groups[0].seconds:g} s", fontsize=13)

@@ -44,7 +44,6 @@ def with_interval(found: Interval) -> str:
 def error_table(result: PartResult, seconds: float) -> Table:
     """All metrics of one scene at one budget."""
     groups = result.groups[seconds]
-    seeds = len(groups[0].runs)
     rows = [
         (
             group.name,
@@ -73,7 +72,7 @@ def error_table(result: PartResult, seconds: float) -> Table:
             "efficiency / pt",
         ),
         tuple(rows),
-        f"Mean ± 95 % interval over {seeds} seed{'s' if seeds > 1 else ''}. Trimmed: the worst 0.1 % of pixels left "
+        f"Mean ± 95 % interval over {groups[0].seeds}. Trimmed: the worst 0.1 % of pixels left "
         f"out. Mask: {100 * result.mask.mean():.1f} % of the pixels, where the reference's caustic layer is above the "
         f"mask level. The reference's own relMSE, {number(errors.own_relmse)}, has been subtracted. Efficiency: relMSE "
         "of pt over that of the method, at equal time.",
@@ -103,9 +102,10 @@ def slope_table(result: PartResult) -> Table:
             )
             for group in groups
         ),
-        f"Fitted to the last decade of passes of the mean over {len(groups[0].runs)} seeds, with a 95 % interval by "
-        "the jackknife. An unbiased method has -1 in squared errors and no floor; a biased one "
-        "flattens towards its floor, f in a fit of f + a / passes.",
+        f"Fitted to the last decade of passes of the mean over {groups[0].seeds}, with a 95 % interval by the "
+        "jackknife. An unbiased method has -1 in squared errors and no floor; a biased one flattens towards its floor, "
+        "f in a fit of f + a / passes. Trimmed errors need not have -1: where few passes leave rare bright samples far "
+        "apart, the part left out holds nearly all of them.",
     )
 
 
@@ -135,7 +135,7 @@ def variant_table(result: PartResult) -> Table | None:
         f"{result.part.title}: difference to {first.name} at equal time",
         ("variant", "samples per pixel", "RMSE", "relMSE", "relMSE trimmed"),
         tuple(rows),
-        f"Mean ± 95 % interval over {len(first.runs)} seeds, paired by seed. Below zero is fewer samples, less error.",
+        f"Mean ± 95 % interval over {first.seeds}, paired by seed. Below zero is fewer samples, less error.",
     )
 
 
