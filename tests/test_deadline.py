@@ -99,6 +99,7 @@ class SerialRun(job._Run):
         self.film, self.pending = Film(1, QUANTUM), Film(1, QUANTUM)
         self.batches = Batches(toy, PIXELS, 1)
         self.rounds = self.stopped_by = 0
+        self.snapshots = None
 
     def _say(self, stage: str) -> None: ...
 
