@@ -1,4 +1,4 @@
-"""Mesh files (PLY, OBJ) -> triangles."""
+"""Mesh files (PLY, OBJ) and generated meshes -> triangles."""
 
 import math
 import re
@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from causticmpi.errors import InputError
+from causticmpi.scene.generated.catalogue import generated_mesh
 from causticmpi.scene.geometry import Triangles, ZeroAreaError, as_float32, has_area
 from causticmpi.scene.records import Mesh
 
@@ -17,31 +18,32 @@ FORMATS = (".ply", ".obj")
 def mesh_triangles(mesh: Mesh, folder: Path) -> Triangles:
     """The mesh's triangles in scene units, without those of zero area. `folder` is the scene file's.
 
-    Raises InputError, without a place, for a file that cannot be read or holds no usable triangle.
+    Raises InputError, without a place, for a file that cannot be read or holds no usable triangle, and for an unknown
+    generated mesh.
     """
     if mesh.smooth:
         raise InputError(
             "smooth: found true; allowed: false (interpolated normals make light's and eye's transport unlike"
             " each other); tessellate the mesh finer"
         )
-    path = folder / mesh.file
-    points, faces = _read(path)
-    if not np.isfinite(points).all():
-        raise InputError(f"file: {path} has vertices that are not finite numbers; repair the mesh")
-    if not len(faces):
-        raise InputError(f"file: {path} has no triangles; export it with faces")
-    if faces.min() < 0 or faces.max() >= len(points):
-        raise InputError(
-            f"file: {path} has a face that names vertex {int(faces.max() if faces.min() >= 0 else faces.min())};"
-            f" allowed: 0 to {len(points) - 1}; repair the mesh"
-        )
+    if mesh.file is not None and mesh.generate is None:
+        path = folder / mesh.file
+        name = f"file: {path}"
+        points, faces = _read(path)
+    elif mesh.generate is not None and mesh.file is None:
+        name = f"generate: {mesh.generate}"
+        points, faces = generated_mesh(mesh.generate)
+    elif mesh.file is None:
+        raise InputError('missing key "file"; add `file: my.ply`, or `generate: horse` for a mesh of the program\'s own')
+    else:
+        raise InputError("generate: found beside a file; allowed: one of the two; remove the other")
     # A huge but finite scale or file may overflow here; as_float32 reports what does not fit.
     with np.errstate(over="ignore", invalid="ignore"):
         points = transformed(points, mesh)
-    vertices = as_float32(points, f"file: {path}, after scale, rotate and translate")
+    vertices = as_float32(points, f"{name}, after scale, rotate and translate")
     kept = has_area(vertices, faces)
     if not kept.any():
-        raise ZeroAreaError(f"file: {path} has only triangles of zero area; repair or scale the mesh")
+        raise ZeroAreaError(f"{name} has only triangles of zero area; repair or scale the mesh")
     used, renumbered = np.unique(faces[kept], return_inverse=True)
     return Triangles(vertices[used], renumbered.reshape(-1, 3).astype(np.int32), int((~kept).sum()))
 
@@ -91,7 +93,21 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
         reason = " ".join(str(error).split())[:120]
         raise InputError(f"file: {path} is no readable mesh ({reason}); export it anew") from None
     _check_complete(path, raw, len(faces))
+    _check_usable(path, points, faces)
     return points, faces
+
+
+def _check_usable(path: Path, points: np.ndarray, faces: np.ndarray) -> None:
+    """Raises InputError for vertices and faces that are none."""
+    if not np.isfinite(points).all():
+        raise InputError(f"file: {path} has vertices that are not finite numbers; repair the mesh")
+    if not len(faces):
+        raise InputError(f"file: {path} has no triangles; export it with faces")
+    if faces.min() < 0 or faces.max() >= len(points):
+        raise InputError(
+            f"file: {path} has a face that names vertex {int(faces.max() if faces.min() >= 0 else faces.min())};"
+            f" allowed: 0 to {len(points) - 1}; repair the mesh"
+        )
 
 
 def _check_complete(path: Path, raw: bytes, faces: int) -> None:

@@ -69,12 +69,13 @@ class Box(Shape, frozen=True, kw_only=True, tag_field="type", tag="box"):
 
 
 class Mesh(Shape, frozen=True, kw_only=True, tag_field="type", tag="mesh"):
-    """Triangle mesh of a PLY or OBJ file, the path relative to the scene file.
+    """Triangle mesh: a PLY or OBJ `file`, relative to the scene file, or one that the program is to `generate`.
 
     Scaled first, then turned by `rotate` degrees about the fixed x axis, then y, then z, then moved by `translate`.
     """
 
-    file: str
+    file: str | None = None
+    generate: str | None = None
     smooth: bool = False
     scale: Spectrum = 1.0
     rotate: Vector = (0.0, 0.0, 0.0)

@@ -1,0 +1,1 @@
+"""Meshes too large to commit, made by the program itself."""
