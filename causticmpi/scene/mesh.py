@@ -34,7 +34,9 @@ def mesh_triangles(mesh: Mesh, folder: Path) -> Triangles:
         name = f"generate: {mesh.generate}"
         points, faces = generated_mesh(mesh.generate)
     elif mesh.file is None:
-        raise InputError('missing key "file"; add `file: my.ply`, or `generate: horse` for a mesh of the program\'s own')
+        raise InputError(
+            'missing key "file"; add `file: my.ply`, or `generate: horse` for a mesh of the program\'s own'
+        )
     else:
         raise InputError("generate: found beside a file; allowed: one of the two; remove the other")
     # A huge but finite scale or file may overflow here; as_float32 reports what does not fit.

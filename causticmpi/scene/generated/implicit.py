@@ -100,8 +100,7 @@ def spline(beads: Sequence[Bead], steps: int = 8) -> list[Bead]:
         for step in range(steps):
             t = step / steps
             x, y, z, radius = (
-                0.5
-                * (2 * b + t * (c - a + t * (2 * a - 5 * b + 4 * c - d + t * (3 * b - a - 3 * c + d))))
+                0.5 * (2 * b + t * (c - a + t * (2 * a - 5 * b + 4 * c - d + t * (3 * b - a - 3 * c + d))))
                 for a, b, c, d in zip(p, q, r, s, strict=True)
             )
             curve.append((x, y, z, max(radius, 0.5 * min(q[3], r[3]))))
