@@ -1,4 +1,4 @@
-"""Films add up exactly in any order and grouping; rounds are dealt so that every tile of every pass is traced once."""
+"""Films add up exactly in any order and grouping; rounds are cut so that every tile of every pass is traced once."""
 
 import itertools
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from causticmpi.render.film import CHANNELS, LOW, Film, quantum_for, resolve
-from causticmpi.render.rounds import Batches, Share, deal, equal_round
+from causticmpi.render.rounds import FINENESS, Batches, Share, divide, equal_round
 
 SLOTS, PASSES = 40, 64
 QUANTUM = quantum_for(15.0)
@@ -165,20 +165,19 @@ def test_quantum(brightest: float) -> None:
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 4, 7, 16, 61])
-def test_deal_covers_every_tile_once(size: int) -> None:
+def test_shares_cover_every_tile_once(size: int) -> None:
     for count, tiles, first in itertools.product((1, 2, 3, 4, 7, 16, 32), (1, 2, 5, 60, 61, 400), (0, 13)):
         seen = np.zeros((count, 16 * tiles), int)
-        loads = []
-        for rank in range(size):
-            shares = deal(first, count, tiles, size, rank)
-            for share in shares:
-                assert share.first % 16 == 0 and share.first < share.last <= 16 * tiles
-                seen[share.pass_index - first, share.first : share.last] += 1
-            if count % size == 0:
-                assert all((s.first, s.last) == (0, 16 * tiles) for s in shares) and len(shares) == count // size
-            loads.append(sum(s.last - s.first for s in shares) // 16)
+        left = count * tiles
+        for share in divide(first, count, tiles, size):
+            assert share.first % 16 == 0 and share.first < share.last <= 16 * tiles
+            seen[share.pass_index - first, share.first : share.last] += 1
+            taken = (share.last - share.first) // 16
+            # Small beside what is left, so that no rank holds the others up at the end; one rank cuts nothing.
+            assert taken == tiles if size == 1 else taken <= max(1, np.ceil((left + tiles) / (FINENESS * size)))
+            left -= taken
         assert (seen == 1).all()
-        assert max(loads) - min(loads) <= 1
+    assert [s.last for s in divide(0, 40, 100, 2)[:37]] == [1600] * 37  # whole passes while there are plenty
 
 
 class Idle:
@@ -213,6 +212,13 @@ def test_a_batch_is_followed_by_a_look_at_the_clock() -> None:
     batches.pass_film[:] = 1
     assert not batches.trace([Share(0, 0, 16 * 1024), Share(1, 0, 16)], film, lambda: True)
     assert len(method.rows) == 1 and not batches.pass_film.any() and not film.sums.any()
+
+
+def test_parts_of_one_pass_begin_it_once() -> None:
+    method, film = Idle(), Film(4, QUANTUM)
+    batches = Batches(method, np.zeros((64, 4), np.int32), 4)
+    assert batches.trace([Share(5, 0, 16), Share(5, 32, 48), Share(6, 16, 32)], film, lambda: False)
+    assert method.begun == [5, 6] and method.rows == [16, 16, 16] and film.rays == 8
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 7, 20])

@@ -34,7 +34,7 @@ from causticmpi.output.report import provenance
 from causticmpi.render.features import first_hits
 from causticmpi.render.film import Film, quantum_for
 from causticmpi.render.methods import make_method
-from causticmpi.render.rounds import Batches, deal, equal_round
+from causticmpi.render.rounds import Batches, divide, equal_round
 from causticmpi.scene.content import with_camera
 from causticmpi.scene.data import SceneData
 from causticmpi.scene.load import load_scene
@@ -272,11 +272,11 @@ class _Run:
         return self._time_is_over() or bool(self.flag.raised)
 
     def _trace_round(self, passes: int) -> tuple[bool, int]:
-        """Trace this rank's share of a round. All ranks learn: was it dropped, and the signal that stopped it, or 0."""
+        """Trace a round together. All ranks learn: was it dropped, and the signal that stopped it, or 0."""
         self.pending.clear()
-        tiles = len(self.pixels) // 16
-        shares = deal(self.film.passes, passes, tiles, self.world.size, self.world.rank)
-        whole = self.batches.trace(shares, self.pending, self._must_stop)
+        shares = divide(self.film.passes, passes, len(self.pixels) // 16, self.world.size)
+        mine = (shares[i] for i in self.world.hand_out(len(shares)))
+        whole = self.batches.trace(mine, self.pending, self._must_stop)
         dropped, signal = divmod(self.world.all_max(self.flag.raised + (0 if whole else DROPPED)), DROPPED)
         return dropped > 0, signal
 

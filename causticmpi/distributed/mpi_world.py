@@ -10,7 +10,7 @@ import os
 import pickle
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, NoReturn, TypeVar, cast
 
 import numpy as np
@@ -73,6 +73,7 @@ class MpiWorld(World):
     comm     all ranks
     node     the ranks that share memory with this one
     leaders  the lowest rank of each node, rank 0 first; MPI.COMM_NULL on other ranks
+    leader, leader_of  the leader of this rank's node, and of every rank's, by rank among all
     """
 
     def __init__(self, ranks_per_node: int | None = None) -> None:
@@ -86,12 +87,14 @@ class MpiWorld(World):
         self.node = cast(MPI.Intracomm, node)
         self.node_rank, self.node_size = self.node.rank, self.node.size
         self.leaders = self.comm.Split(0 if self.is_node_leader else MPI.UNDEFINED, self.rank)
-        start = (MPI.Get_processor_name(), self.is_node_leader)
-        everyone: list[tuple[str, bool]] = self.broadcast(self.gather(start))
+        self.leader = int(self.node.Get_group().Translate_ranks([0], self.comm.Get_group())[0])
+        everyone: list[tuple[str, int]] = self.broadcast(self.gather((MPI.Get_processor_name(), self.leader)))
         self._hosts = [host for host, _ in everyone]
-        self.node_count = sum(leader for _, leader in everyone)
+        self.leader_of = np.array([leader for _, leader in everyone])
+        self.node_count = len(set(self.leader_of.tolist()))
         self._closed = False
         self._shared: list[Any] = []
+        self._handing_out: Any = None
         # Runs before mpi4py finalizes MPI: windows have to be freed by then, and a late rank is awaited asleep.
         atexit.register(self.close)
 
@@ -141,6 +144,13 @@ class MpiWorld(World):
         result = np.empty(1, dtype=np.int64)
         wait(self.comm.Iallreduce(np.array([value], dtype=np.int64), result, operation))
         return int(result[0])
+
+    def hand_out(self, count: int) -> Iterator[int]:
+        from causticmpi.distributed.handing_out import HandingOut
+
+        if self._handing_out is None:
+            self._handing_out = HandingOut(self)
+        return self._handing_out.begin(count)
 
     def barrier(self) -> None:
         wait(self.comm.Ibarrier())
@@ -203,6 +213,8 @@ class MpiWorld(World):
             return
         self._closed = True
         self.release()
+        if self._handing_out is not None:
+            self._handing_out.free()
         self.barrier()
         # Never used again, and an unfreed communicator is reported as a leak by some libraries.
         if self.leaders != MPI.COMM_NULL:

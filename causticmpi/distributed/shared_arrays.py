@@ -58,13 +58,28 @@ class SharedBlock:
         whole = np.frombuffer(cast(memoryview, self._window.Shared_query(0)[0]), dtype=np.uint8)
         skip = np.array([-whole.ctypes.data % ALIGNMENT], dtype=np.int64)
         wait(self._node.Ibcast(skip, 0))  # the leader's count holds for all: mappings differ by whole pages
-        self.bytes = whole[int(skip[0]) : int(skip[0]) + size]
+        self._skip = int(skip[0])
+        self.bytes = whole[self._skip : self._skip + size]
 
     def publish(self) -> None:
         """Collective on the node. What was written before is visible to all after."""
         self._window.Sync()
         wait(self._node.Ibarrier())
         self._window.Sync()
+
+    def fetch_and_add(self, offset: int, value: int) -> int:
+        """Add to the 64-bit integer at byte `offset`, in one step for all ranks; returns what it was before."""
+        return self._exchange(offset, value, MPI.SUM)
+
+    def store(self, offset: int, value: int) -> None:
+        """Replace the 64-bit integer at byte `offset`, in one step for all ranks."""
+        self._exchange(offset, value, MPI.REPLACE)
+
+    def _exchange(self, offset: int, value: int, operation: MPI.Op) -> int:
+        operand, before = np.array([value], dtype=np.int64), np.empty(1, dtype=np.int64)
+        self._window.Fetch_and_op(operand, before, 0, self._skip + offset, operation)
+        self._window.Flush(0)
+        return int(before[0])
 
     def free(self) -> None:
         """Collective on the node; the memory is gone afterwards."""

@@ -5,7 +5,7 @@ have to know are exchanged with `agree`; anything else that escapes on one rank 
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Any, NoReturn, Self, TypeVar
 
@@ -80,6 +80,13 @@ class World(ABC):
         """Collective. The largest value of any rank (64-bit integers); agrees on stopping: `all_max(flag.raised)`."""
 
     @abstractmethod
+    def hand_out(self, count: int) -> Iterator[int]:
+        """Collective. Each of 0 … count-1 to one rank, the next one whenever a rank asks for it; see handing_out.py.
+
+        Between the last piece and the next handing out all ranks have to meet, in `barrier`, `all_min` or `all_max`.
+        """
+
+    @abstractmethod
     def barrier(self) -> None:
         """Collective. Returns once all ranks have come here; waits asleep."""
 
@@ -145,6 +152,9 @@ class SerialWorld(World):
 
     def all_max(self, value: int) -> int:
         return value
+
+    def hand_out(self, count: int) -> Iterator[int]:
+        return iter(range(count))
 
     def barrier(self) -> None:
         return

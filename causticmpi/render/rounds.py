@@ -1,4 +1,4 @@
-"""Rounds of passes: how work is dealt out, and traced in short batches.
+"""Rounds of passes: how work is cut into shares, and how shares are traced in short batches.
 
 A round is a run of passes merged whole or dropped whole, which is what keeps a time budget free of bias: averaging the
 finished rounds of EQUAL length, the unfinished one dropped and the first always finished, is exactly unbiased.
@@ -7,7 +7,7 @@ follow the cost of earlier ones is not (tests/test_deadline.py).
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,20 +28,23 @@ class Share:
     last: int
 
 
-def deal(first_pass: int, passes: int, tiles: int, size: int, rank: int) -> list[Share]:
-    """This rank's equal share of a round: whole passes where their number is a multiple of the ranks, else a run of
-    tiles.
+FINENESS = 2
+"""A share is at most what is left of the round by this many times the ranks."""
 
-    tiles: number of 16-pixel tiles of a pass. The shares of all ranks cover each tile of each pass once.
+
+def divide(first_pass: int, passes: int, tiles: int, size: int) -> list[Share]:
+    """The shares of a round in the order to hand them out to `size` ranks that come free at times of their own.
+
+    Whole passes as long as plenty of them are left, then ever smaller parts (guided self-scheduling), so that at the
+    end no rank waits long for another: parts of a pass cost each rank that takes one the beginning of that pass.
+    tiles: number of 16-pixel tiles of a pass. The shares cover each tile of each pass once.
     """
-    total = passes * tiles
-    start, stop = total * rank // size, total * (rank + 1) // size
     shares = []
-    while start < stop:
-        index, first = divmod(start, tiles)
-        last = min(tiles, first + stop - start)
-        shares.append(Share(first_pass + index, 16 * first, 16 * last))
-        start += last - first
+    for index in range(passes):
+        left = passes - index
+        parts = min(tiles, max(1, -(-FINENESS * size // left))) if size > 1 else 1
+        cuts = [16 * (tiles * part // parts) for part in range(parts + 1)]
+        shares += [Share(first_pass + index, *cut) for cut in zip(cuts, cuts[1:], strict=False)]
     return shares
 
 
@@ -67,6 +70,8 @@ class Batches:
         self.pixels = pixels
         self.pass_film = np.zeros((slots, 6), np.float32)
         self.rows = 16 * 64
+        self.kernel_seconds = 0.0
+        """CPU seconds spent in the method itself, the pilot left out."""
 
     def pilot_seconds(self) -> float:
         """What a pass costs here, from tiles spread over the picture in a pass of no picture."""
@@ -79,15 +84,20 @@ class Batches:
         self.pass_film[:] = 0
         return beginning + (time.perf_counter() - began - beginning) * len(tiles) / len(some)
 
-    def trace(self, shares: list[Share], pending: Film, stop: Callable[[], bool]) -> bool:
+    def trace(self, shares: Iterable[Share], pending: Film, stop: Callable[[], bool]) -> bool:
         """Trace all shares into `pending`; False, with `pending` to be dropped, if `stop()` came true in between."""
+        begun: int | None = None
         for share in shares:
-            pending.rays += self.method.begin_pass(share.pass_index)
+            if share.pass_index != begun:
+                if begun is not None:
+                    pending.add_pass(self.pass_film)
+                begun = share.pass_index
+                pending.rays += self._timed(self.method.begin_pass, begun)
             row = share.first
             while row < share.last:
                 end = min(share.last, row + self.rows)
                 began = time.perf_counter()
-                pending.rays += self.method.trace(self.pixels[row:end], self.pass_film)
+                pending.rays += self._timed(self.method.trace, self.pixels[row:end], self.pass_film)
                 seconds = max(time.perf_counter() - began, 1e-6)
                 row = end
                 if stop():
@@ -95,5 +105,12 @@ class Batches:
                     return False
                 wanted = self.rows * min(4.0, max(0.25, BATCH_SECONDS / seconds))
                 self.rows = min(len(self.pixels), max(16, int(wanted) // 16 * 16))
+        if begun is not None:
             pending.add_pass(self.pass_film)
         return True
+
+    def _timed(self, work: Callable[..., int], *args: object) -> int:
+        began = time.process_time()
+        rays = work(*args)
+        self.kernel_seconds += time.process_time() - began
+        return rays

@@ -99,6 +99,21 @@ def check_first_on_node(world: MpiWorld) -> None:
         assert node_rank == 0 or start >= spans[leader][2][1], "ran before its node's leader had finished"
 
 
+def check_handing_out(world: MpiWorld) -> None:
+    """Every piece to one rank, whoever is slow; nothing is kept back for a leader who is asleep over its first one."""
+    for count in (0, 1, 60 * world.size, 7):
+        taken = []
+        for piece in world.hand_out(count):
+            taken.append(piece)
+            if world.is_node_leader and world.node_size > 1 and count > 7:
+                time.sleep(0.3)
+        world.barrier()
+        shares = world.gather(taken)
+        if shares is not None:
+            assert sorted(piece for share in shares for piece in share) == list(range(count)), count
+            assert count <= 7 or world.node_size == 1 or len(shares[0]) < 30, [len(share) for share in shares]
+
+
 def main() -> None:
     per_node = int(sys.argv[1])
     world = open_world(per_node or None)
@@ -111,6 +126,7 @@ def main() -> None:
         check_share(world, chunk_bytes)
     check_sums(world)
     check_first_on_node(world)
+    check_handing_out(world)
     kept = world.share(reference() if world.is_root else None)
     say_shared_files()
     say("ok", world.rank, kept["scalar"])
