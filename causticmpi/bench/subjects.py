@@ -149,7 +149,7 @@ class Subject:
 
     def preprocess(self) -> dict[str, float]:
         """CPU-bound wall seconds of the whole preprocess by stage."""
-        watch = Stopwatch()
+        watch = Stopwatch(from_now=True)
         prepare_forecast(SerialWorld(), self.config, self.scene, watch)
         return watch.stages
 

@@ -36,12 +36,18 @@ def seconds_since_start() -> float:
 
 
 class Stopwatch:
-    """Elapsed seconds and seconds by stage. from_now: count from here, not from the start of the program."""
+    """Elapsed seconds and seconds by stage. from_now: count from here, not from the start of the program.
+
+    cpu_zero: CPU seconds of this process when the watch was made; cpu_startup: those of them that belong to the run.
+    """
 
     def __init__(self, from_now: bool = False) -> None:
-        self._zero = time.monotonic() - (0.0 if from_now else seconds_since_start())
+        age = 0.0 if from_now else seconds_since_start()
+        self._zero = time.monotonic() - age
+        self.cpu_zero = time.process_time()
+        self.cpu_startup = 0.0 if from_now else self.cpu_zero
         self.compiling = 0.0
-        self.stages: dict[str, float] = {}
+        self.stages: dict[str, float] = {} if from_now else {"startup": age}
 
     def elapsed(self) -> float:
         """Seconds of the run so far, compilation left out."""

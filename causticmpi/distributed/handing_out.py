@@ -1,10 +1,10 @@
 """Work handed out to ranks as they come free.
 
 A counter in the memory that the ranks of a node share names the next piece of work: taking one is a single atomic
-addition by the rank itself, which nobody has to answer. A counter for all nodes would be slower where it matters: unless
-the network adds by itself, a request to another node waits until that node's rank has finished its batch and calls MPI
-(0.9 s were measured over TCP, 3 us within the node). Pieces are therefore dealt to nodes in turn, by their number of
-ranks, and handed out within each node.
+addition by the rank itself, which nobody has to answer. One counter for all nodes would often be slower than what it
+mends: unless the network adds by itself, a request to another node waits until that node's rank has finished its batch
+and calls MPI (0.9 s were measured over TCP, 3 us within the node). Pieces are therefore dealt to nodes in turn, by
+their number of ranks, and handed out within each node.
 """
 
 from collections.abc import Iterator

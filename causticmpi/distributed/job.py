@@ -1,6 +1,7 @@
 """A render from config to picture: rank 0 coordinates, every rank traces, the reducer merges sums."""
 
 import math
+import os
 import shlex
 import sys
 import time
@@ -20,9 +21,10 @@ from causticmpi.distributed.prepare import (
     prepare_forecast,
     share_scene,
 )
-from causticmpi.distributed.result import Merged, Result, peak_memory_mb
+from causticmpi.distributed.result import Merged, Result
 from causticmpi.distributed.signals import StopFlag
 from causticmpi.distributed.snapshots import Snapshots
+from causticmpi.distributed.usage import measure_usage
 from causticmpi.distributed.warmup import warm_up
 from causticmpi.distributed.world import World
 from causticmpi.errors import InputError
@@ -46,7 +48,8 @@ DROPPED = 128
 The largest counts for all. A signal that a late rank's DROPPED hides does no harm: the time is over then.
 """
 ROUND_SECONDS = 1.0
-"""Aim of a round under a time budget; at most 1/30 of the budget is lost with the round that is dropped."""
+"""Aim of a round, times the ranks that share a core: what a round costs besides tracing is CPU time of each rank. At
+most 1/30 of a time budget is lost with the round that is dropped."""
 WRITE_SHARE = 0.05
 """Progressive pictures may cost this share of the time."""
 FIRST_WRITE, FIRST_WRITE_PER_PIXEL = 0.3, 1e-6
@@ -237,7 +240,8 @@ class _Run:
 
     def _round_length(self) -> int:
         """Collective. Passes of every round, from a pilot on all ranks at once."""
-        aim = ROUND_SECONDS if self.limit is None else max(0.05, min(ROUND_SECONDS, self.limit / 30))
+        crowd = self.world.all_max(-(-self.world.node_size // (os.cpu_count() or 1)))
+        aim = ROUND_SECONDS * crowd if self.limit is None else max(0.05, min(ROUND_SECONDS * crowd, self.limit / 30))
         self.world.barrier()
         slowest = self.world.all_max(int(1e6 * self.batches.pilot_seconds()))
         length = equal_round(slowest / 1e6, aim, self.world.size)
@@ -320,10 +324,10 @@ class _Run:
         with self.watch.stage("reduce"):
             sums = self.world.reduce_sum(self.film.sums)
             counts = self.world.reduce_sum(np.array([self.film.rays, self.film.nonfinite], np.int64))
-            memory = self.world.gather(peak_memory_mb())
+            usage = self.world.gather(measure_usage(self.watch, self.batches))
         if self.world.is_root:
-            assert sums is not None and counts is not None and memory is not None
-            merged = Merged(sums, self.film.passes, int(counts[0]), int(counts[1]), memory)
+            assert sums is not None and counts is not None and usage is not None
+            merged = Merged(sums, self.film.passes, int(counts[0]), int(counts[1]), usage)
             self.watch.add("write", self.result.write(merged, self.forecasting, self.watch))
         self.write_cost, self.last_write = self.world.broadcast((time.perf_counter() - began, self._elapsed()))
 

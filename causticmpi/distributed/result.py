@@ -1,6 +1,5 @@
 """What rank 0 makes of the sums of all ranks: the picture, the report, and the files in the output directory."""
 
-import resource
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 from causticmpi.config.records import RenderConfig
 from causticmpi.distributed.clock import Stopwatch
 from causticmpi.distributed.prepare import Forecasting
+from causticmpi.distributed.usage import Usage, cpu_summary
 from causticmpi.output.directory import UNFINISHED, Claim, write_run, write_whole
 from causticmpi.output.picture import Picture, estimated_relmse
 from causticmpi.output.report import attributes_from_report, build_report
@@ -21,13 +21,13 @@ from causticmpi.render.methods import BIASED
 
 @dataclass(frozen=True)
 class Merged:
-    """Sums over passes and ranks (see render.film). rays: of the merged passes; memory: peak of each rank [MB]."""
+    """Sums over passes and ranks (see render.film). rays: of the merged passes; usage: of each rank."""
 
     sums: np.ndarray
     passes: int
     rays: int
     nonfinite: int
-    memory: Sequence[float]
+    usage: Sequence[Usage]
 
 
 class Result:
@@ -65,7 +65,7 @@ class Result:
             picture,
             method=self.config.method,
             biased=self.config.method in BIASED,
-            ranks=len(merged.memory),
+            ranks=len(merged.usage),
             passes=merged.passes,
             spp=merged.passes,
             seed=self.config.seed,
@@ -73,7 +73,7 @@ class Result:
             seconds=dict(watch.stages, total=watch.elapsed()),
             rays=merged.rays + forecasting.rays,
             rays_per_second=merged.rays / max(tracing, 1e-9),
-            memory_mb=float(sum(merged.memory)),
+            memory_mb=sum(one.memory_mb for one in merged.usage),
             provenance=self.provenance,
             warnings=forecasting.warnings,
         )
@@ -82,7 +82,8 @@ class Result:
             "particles": forecasting.emitted,
             "search_radius": forecasting.maps.radius if forecasting.photons else None,
         }
-        report["memory_mb_per_rank"] = [round(m, 1) for m in merged.memory]
+        report["memory_mb_per_rank"] = [round(one.memory_mb, 1) for one in merged.usage]
+        report["cpu_seconds"] = cpu_summary(merged.usage)
         return report
 
     def _picture(self, merged: Merged) -> Picture:
@@ -102,13 +103,3 @@ class Result:
             film_size=(film.width, film.height),
             crop=film.crop,
         )
-
-
-def peak_memory_mb() -> float:
-    """Peak resident memory of this process [MB]; what ranks share is counted by each."""
-    try:
-        # Not ru_maxrss, which a process takes over from the one that started it, however large that was.
-        lines = Path("/proc/self/status").read_text().splitlines()
-        return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM:"))
-    except (OSError, ValueError, IndexError, StopIteration):
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024

@@ -15,6 +15,7 @@ from causticmpi.output.picture import Picture, estimated_relmse
 # Wall clock, seconds; a stage that a method does not have stays 0.
 STAGES = (
     "total",
+    "startup",
     "warmup",
     "load",
     "photons",

@@ -72,6 +72,8 @@ class Batches:
         self.rows = 16 * 64
         self.kernel_seconds = 0.0
         """CPU seconds spent in the method itself, the pilot left out."""
+        self.began: float | None = None
+        """CPU seconds of this process when the first round began; None before."""
 
     def pilot_seconds(self) -> float:
         """What a pass costs here, from tiles spread over the picture in a pass of no picture."""
@@ -87,6 +89,8 @@ class Batches:
     def trace(self, shares: Iterable[Share], pending: Film, stop: Callable[[], bool]) -> bool:
         """Trace all shares into `pending`; False, with `pending` to be dropped, if `stop()` came true in between."""
         begun: int | None = None
+        if self.began is None:
+            self.began = time.process_time()
         for share in shares:
             if share.pass_index != begun:
                 if begun is not None:
