@@ -46,6 +46,9 @@ def build_parser() -> argparse.ArgumentParser:
     compare.add_argument(
         "--show", metavar="DIR", action="append", default=[], help="put the PNGs of this directory into the report"
     )
+    inspect = verbs.add_parser("inspect", help="virtual lights, caustic points and clusters as pictures and numbers")
+    _common(inspect)
+    inspect.add_argument("--out", metavar="DIR", help="directory of the pictures (default: inspect in the output's)")
     bench = verbs.add_parser("bench", help="this machine: raw Embree rate beside each kernel's rate, on one core")
     bench.add_argument(
         "configs", metavar="CONFIG", nargs="*", default=[f"configs/{name}.yaml" for name in BENCH_SCENES]
@@ -86,6 +89,10 @@ def _run(argv: list[str]) -> int:
             from causticmpi.cli.compare import compare
 
             return compare(arguments, argv)
+        if arguments.verb == "inspect":
+            from causticmpi.cli.inspect import inspect
+
+            return inspect(arguments)
         if arguments.verb == "bench":
             from causticmpi.bench.run import bench
 

@@ -93,7 +93,13 @@ def _section(result: PartResult, palette: dict[str, str]) -> Section:
 
 
 def _further(directory: Path) -> Section:
-    images = [Image(f"{directory.name}-{p.stem}", p.read_bytes(), p.stem) for p in sorted(directory.glob("*.png"))]
+    from PIL import Image as Picture
+
+    images = []
+    for path in sorted(directory.glob("*.png")):
+        with Picture.open(path) as picture:
+            caption = picture.info.get("Description", path.stem)
+        images.append(Image(f"{directory.name}-{path.stem}", path.read_bytes(), caption))
     return Section(f"Inside the forecast: {directory.name}", [], images)
 
 

@@ -10,7 +10,7 @@ from causticmpi.distributed.clock import Stopwatch
 from causticmpi.distributed.world import World
 from causticmpi.kernels.embree import EmbreeScene, ray_buffer
 from causticmpi.kernels.traced_scene import TracedScene
-from causticmpi.preprocess.forecast import ForecastMaps, build_forecast, no_forecast
+from causticmpi.preprocess.forecast import ClusterStatistics, ForecastMaps, build_forecast, no_forecast
 from causticmpi.preprocess.photons import CausticPoints, shoot_photons
 from causticmpi.render.methods import FORECASTING
 from causticmpi.scene.content import has_specular
@@ -78,21 +78,24 @@ def prepare_forecast(world: World, config: RenderConfig, scene: PreparedScene, w
         return Forecasting(share_maps(world, no_forecast() if world.is_root else None))
     made = Forecasting(no_forecast())
     if world.is_root:
-        settings = config.forecast
-        with watch.stage("photons"):
-            points, made.emitted, made.rays = shoot_photons(scene.traced, ray_buffer(), config.seed, settings.photons)
-        made.photons = len(points.power)
-        made.warnings = _warnings(made, settings.photons)
-        if made.photons:
-            made.maps = _timed_maps(config, points, watch)
+        made = make_forecast(config, scene, watch)[0]
     with watch.stage("broadcast"):
         made.maps = share_maps(world, made.maps if world.is_root else None)
     return made
 
 
-def _timed_maps(config: RenderConfig, points: CausticPoints, watch: Stopwatch) -> ForecastMaps:
-    settings = config.forecast
-    maps, _, seconds = build_forecast(
+def make_forecast(
+    config: RenderConfig, scene: PreparedScene, watch: Stopwatch
+) -> tuple[Forecasting, CausticPoints, ClusterStatistics | None]:
+    """Shoot, cluster and index the photons here; statistics are None, and the maps empty, where none is found."""
+    made, settings = Forecasting(no_forecast()), config.forecast
+    with watch.stage("photons"):
+        points, made.emitted, made.rays = shoot_photons(scene.traced, ray_buffer(), config.seed, settings.photons)
+    made.photons = len(points.power)
+    made.warnings = _warnings(made, settings.photons)
+    if not made.photons:
+        return made, points, None
+    made.maps, statistics, seconds = build_forecast(
         points,
         config.seed,
         settings.clusters,
@@ -105,7 +108,7 @@ def _timed_maps(config: RenderConfig, points: CausticPoints, watch: Stopwatch) -
     )
     for stage, spent in seconds.items():
         watch.add(stage, spent)
-    return maps
+    return made, points, statistics
 
 
 def _warnings(made: Forecasting, wanted: int) -> tuple[str, ...]:

@@ -1,0 +1,20 @@
+"""`causticmpi inspect`: from the command line to the findings; one rank does it."""
+
+import argparse
+from pathlib import Path
+
+from causticmpi.config.load import load_config, scene_path
+from causticmpi.output.directory import check_directory
+
+
+def inspect(arguments: argparse.Namespace) -> int:
+    """Find, draw, tell. Returns the exit code; raises InputError before anything is written."""
+    from causticmpi.distributed.environment import launcher_rank
+    from causticmpi.inspect.run import inspect as run_inspection
+
+    if launcher_rank() > 0:
+        return 0  # under mpirun one of us is enough
+    config = load_config(arguments.config, arguments.settings)
+    directory = Path(arguments.out if arguments.out is not None else Path(config.output.directory) / "inspect")
+    check_directory(directory, force=True)
+    return run_inspection(config, scene_path(arguments.config, config), directory)
