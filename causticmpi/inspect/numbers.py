@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from causticmpi.distributed.result import peak_memory_mb
+from causticmpi.distributed.usage import peak_memory_mb
 from causticmpi.inspect.findings import Findings
 from causticmpi.preprocess.forecast import CULLED
 from causticmpi.scene.data import SceneData
