@@ -160,15 +160,33 @@ def test_compensation_counts_caustics_again(
     assert judge(scene, truth).p < CLEAR
 
 
+FROM_MUTANT = (
+    "from causticmpi.estimators import caustic_forecast as cf\n",
+    "import mutant_estimators_caustic_forecast as cf\n",
+)
+VEC_ONE = ("from causticmpi.kernels.vec import ZERO\n", "from causticmpi.kernels.vec import ONE, ZERO\n")
+
+
 def test_empty_bins_left_out(
     scene: SceneData, truth: np.ndarray, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Table 2 is not sampled: caustics arrive from the photons' bins alone."""
-    made = mutant(
-        "estimators.iws_cf", tmp_path, ("            if total2 <= ZERO:\n", "            if total2 > -ONE:\n")
+    mutant(
+        "estimators.caustic_forecast", tmp_path, ("        if other <= ZERO:\n", "        if other > -ONE:\n"), VEC_ONE
     )
+    made = mutant("estimators.iws_cf", tmp_path, FROM_MUTANT)
     monkeypatch.setattr(methods, "trace_iws_cf", made.trace_iws_cf)
     assert judge(scene, truth).p < CLEAR
+
+
+def test_mis_without_the_other_density(
+    scene: SceneData, truth: np.ndarray, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Samples of the table are weighted as if the BRDF were never asked."""
+    mutant("estimators.caustic_forecast", tmp_path, ("bsdf.pdf(scene, material, n, wo, direction) + dt", "dt"))
+    made = mutant("estimators.iws_cf", tmp_path, FROM_MUTANT)
+    monkeypatch.setattr(methods, "trace_iws_cf", made.trace_iws_cf)
+    assert judge(scene, truth, "mis").p < CLEAR
 
 
 def test_radiance_not_scaled_at_refraction(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

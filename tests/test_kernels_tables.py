@@ -8,6 +8,7 @@ from chi_square import SAMPLES, p_value, sidak
 from test_kernels_bsdf import materials
 
 from causticmpi.estimators import caustic_forecast as cf
+from causticmpi.estimators import directional_tables as dt
 from causticmpi.kernels import vec
 from causticmpi.preprocess.forecast import ForecastMaps, no_forecast
 
@@ -38,14 +39,14 @@ STRAY = 1e-5
 def run_tables(scene, maps, work, k, n, wo, material, u, local1, prob1, local2, prob2):
     """Fill both tables and sample them; they are left filled. Returns occupied bins and the sums of both."""
     n, wo = vec.row(n, 0), vec.row(wo, 0)
-    occupied, sum1 = cf.fill_table1(scene, maps, work, k, n, wo, material)
-    sum2 = cf.fill_table2(scene, maps, work, occupied, n, wo, material)
+    occupied, sum1 = dt.fill_table1(scene, maps, work, k, n, wo, material)
+    sum2 = dt.fill_table2(scene, maps, work, occupied, n, wo, material)
     for i in range(u.shape[0]):
         if sum1 > 0:
-            d, prob1[i] = cf.sample_table1(maps, work, occupied, sum1, u[i, 0], u[i, 1], u[i, 2])
+            d, prob1[i] = dt.sample_table1(maps, work, occupied, sum1, u[i, 0], u[i, 1], u[i, 2])
             local1[i, 0], local1[i, 1], local1[i, 2] = d
         if sum2 > 0:
-            d, prob2[i] = cf.sample_table2(scene, maps, work, material, sum2, u[i, 0], u[i, 1], u[i, 2])
+            d, prob2[i] = dt.sample_table2(scene, maps, work, material, sum2, u[i, 0], u[i, 1], u[i, 2])
             local2[i, 0], local2[i, 1], local2[i, 2] = d
     return occupied, sum1, sum2
 
@@ -53,20 +54,20 @@ def run_tables(scene, maps, work, k, n, wo, material, u, local1, prob1, local2, 
 @numba.njit
 def run_densities(scene, maps, work, material, sum1, sum2, local, out):
     for i in range(local.shape[0]):
-        out[i, 0] = cf.table1_pdf(maps, work, sum1, vec.row(local, i))
-        out[i, 1] = cf.table2_pdf(scene, maps, work, material, sum2, vec.row(local, i))
-        out[i, 2] = cf.bin_of(maps, vec.row(local, i))
+        out[i, 0] = dt.table1_pdf(maps, work, sum1, vec.row(local, i))
+        out[i, 1] = dt.table2_pdf(scene, maps, work, material, sum2, vec.row(local, i))
+        out[i, 2] = dt.bin_of(maps, vec.row(local, i))
 
 
 @numba.njit
 def run_clear(work, occupied):
-    cf.clear_tables(work, occupied)
+    dt.clear_tables(work, occupied)
 
 
 @numba.njit
 def run_round_trip(maps, u, out):
     for i in range(u.shape[0]):
-        out[i] = cf.bin_of(maps, cf.direction_in_bin(maps, i % (maps.columns * maps.rows), u[i, 0], u[i, 1]))
+        out[i] = dt.bin_of(maps, dt.direction_in_bin(maps, i % (maps.columns * maps.rows), u[i, 0], u[i, 1]))
 
 
 @numba.njit
@@ -147,7 +148,7 @@ def naive_weights(material: int, maps: ForecastMaps) -> tuple[np.ndarray, np.nda
             weight = power * (wi @ n) * (naive.brdf(kd, ks, exponent, n, wo, wi[None])[0] @ luminance)
             one[index] += np.float32(weight)  # the far tail of a lobe underflows to "not occupied"
     for index, wi in enumerate(every_bin(maps.columns, maps.rows)):
-        floor = cf.FLOOR * ((kd + ks) @ luminance) / np.pi
+        floor = dt.FLOOR * ((kd + ks) @ luminance) / np.pi
         f = naive.brdf(kd, ks, exponent, n, wo, wi[None])[0] @ luminance
         two[index] = 0 if one[index] > 0 else (wi @ n) * (f + floor)
     return one, two

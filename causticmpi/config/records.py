@@ -59,14 +59,17 @@ class Iws(Record):
 class Forecast(Record):
     """Caustic Forecasting [CF sec. 3.2].
 
-    sampling: `mixture` (cones, cluster directions and BRDF, balance heuristic) or `two` (the paper's two tables);
-    photons: caustic points to collect; clusters: codewords of the vector quantization; neighbours: n of the gather;
-    table: bins of `two` in azimuth and cosine; max_rank: clusters of a higher rank are not gathered from; splitting:
+    sampling: `mixture` (cones, cluster directions and BRDF, balance heuristic), `two` (the paper's two tables), `one`
+    (one table, empty bins filled alike), `one-cosine` (by cosine and BRDF), `one-smooth` (table spread by a Gaussian)
+    or `mis` (table and BRDF, balance heuristic); clustering: vector quantization or k-means;
+    photons: caustic points to collect; clusters: codewords of the clustering; neighbours: n of the gather;
+    table: bins in azimuth and cosine; max_rank: clusters of a higher rank are not gathered from; splitting:
     samples of each table, or of cones, at rank 0 and diffuse depth 0; radius, overlap: gather radius and the epsilon
     around a cluster in scene units, `auto` derives them from the average photon density.
     """
 
-    sampling: Literal["mixture", "two"] = "mixture"
+    sampling: Literal["mixture", "two", "one", "one-cosine", "one-smooth", "mis"] = "mixture"
+    clustering: Literal["vq", "kmeans"] = "vq"
     photons: Count = 200_000
     clusters: PositiveInt = 256
     neighbours: PositiveInt = 50

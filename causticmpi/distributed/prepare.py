@@ -105,6 +105,7 @@ def make_forecast(
         settings.splitting,
         None if settings.radius == "auto" else float(settings.radius),
         None if settings.overlap == "auto" else float(settings.overlap),
+        settings.clustering,
     )
     for stage, spent in seconds.items():
         watch.add(stage, spent)

@@ -9,7 +9,7 @@ from causticmpi.kernels import kdtree
 from causticmpi.kernels.embree import ray_buffer
 from causticmpi.kernels.jit import compiled_anew
 from causticmpi.kernels.pixels import pixel_order
-from causticmpi.preprocess import directions, forecast, photons, vector_quantization
+from causticmpi.preprocess import directions, forecast, k_means, photons, vector_quantization
 from causticmpi.preprocess.forecast import ForecastMaps, build_forecast
 from causticmpi.preprocess.photons import CausticPoints, shoot_photons
 from causticmpi.render import features, film
@@ -27,6 +27,7 @@ KERNELS = [
     photons._shoot,
     vector_quantization._compete,
     vector_quantization.assign,
+    k_means._move_to_means,
     forecast._overlaps,
     directions._companion_cosines,
     kdtree.build_trees,
@@ -85,7 +86,7 @@ def warm_up(config: RenderConfig, root: bool, forecasting: bool) -> bool:
     if root and forecasting:
         shoot_photons(scene.traced, rays, 0, 1)
         points = CausticPoints(*(np.ones((4, 3), np.float32) for _ in range(4)))
-        build_forecast(points, 0, 2, 2, (4, 4), 8, 1)
+        build_forecast(points, 0, 2, 2, (4, 4), 8, 1, clustering=config.forecast.clustering)
     maps = share_maps(world, tiny_maps() if forecasting else forecast.no_forecast())
     method = make_method(config, scene.traced, camera, maps, 1.0)
     method.begin_pass(0)

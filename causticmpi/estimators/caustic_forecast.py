@@ -1,32 +1,41 @@
 """Caustic Forecasting (CF): photons near a point steer the directions of its caustic samples [CF sec. 3.2].
 
-The hemisphere above p, in the frame of its normal, is cut into columns x rows bins of equal solid angle (azimuth,
-cosine).
-Table 1 holds the bins that gathered photons fall into, weighted by photon power, BRDF and cosine. Table 2 holds all
-other bins, weighted by a representative cosine and BRDF with a floor, so that no direction is out of reach. The
-domains are disjoint: each table is sampled on its own and the estimates are added.
+The ways to sample them that have a table of directions, all unbiased:
+  two         the paper's: table 1 where photons are, table 2 everywhere else, S samples of each (directional_tables)
+  mis         S samples of table 1 and S of the BRDF under the balance heuristic [Veach 1997, sec. 9.2.2]
+  one, one-cosine, one-smooth   S samples of one filled table (filled_table)
+`mixture`, which needs no table, has kernels of its own (iws_mixture).
 """
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from causticmpi.estimators import directional_tables as dt
+from causticmpi.estimators import filled_table as ft
 from causticmpi.kernels import bsdf, vec
 from causticmpi.kernels.jit import inline
 from causticmpi.kernels.kdtree import MAX_DEPTH, nearest
-from causticmpi.kernels.vec import HALF, INV_PI, ONE, TWO_PI, ZERO
+from causticmpi.kernels.vec import ZERO
 from causticmpi.preprocess.forecast import ForecastMaps
+
+TWO, MIS, ONE_CONSTANT, ONE_COSINE, ONE_SMOOTH = range(5)
+SAMPLINGS = {"two": TWO, "mis": MIS, "one": ONE_CONSTANT, "one-cosine": ONE_COSINE, "one-smooth": ONE_SMOOTH}
+"""Values of `forecast.sampling` that have a table."""
 
 
 class ForecastWork(NamedTuple):
     """Workspace of one gather and its tables.
 
+    sampling: of SAMPLINGS; smoothing: the spread of `one-smooth` (see filled_table), empty for the others
     codeword_distance (m,); distance, row (n,): neighbours; stack, plane: tree walk
     weight (bins,): table 1 by bin, 0 where empty; bins (n,): its occupied bins; cdf (n,): their running sum
-    fill (bins,): weights of table 2 before the occupied bins are taken out; row_sum (rows,): what is left of each row
+    fill (bins,): weights of table 2 before the occupied bins are taken out, or all of a filled table;
+    row_sum (rows,): what is left of each row
     """
 
+    sampling: int
+    smoothing: Any
     codeword_distance: Any
     distance: Any
     row: Any
@@ -39,10 +48,13 @@ class ForecastWork(NamedTuple):
     row_sum: Any
 
 
-def forecast_work(maps: ForecastMaps) -> ForecastWork:
-    """Workspace that fits the maps."""
+def forecast_work(maps: ForecastMaps, sampling: str = "two") -> ForecastWork:
+    """Workspace that fits the maps; sampling: a key of SAMPLINGS."""
     n, bins = maps.neighbours, maps.columns * maps.rows
+    smooth = sampling == "one-smooth"
     return ForecastWork(
+        sampling=SAMPLINGS[sampling],
+        smoothing=ft.smoothing(maps.columns, maps.rows) if smooth else np.zeros((0, 0, 0), np.float32),
         codeword_distance=np.zeros(maps.codebook.shape[1], np.float32),
         distance=np.zeros(n, np.float32),
         row=np.zeros(n, np.int64),
@@ -54,38 +66,6 @@ def forecast_work(maps: ForecastMaps) -> ForecastWork:
         fill=np.zeros(bins, np.float32),
         row_sum=np.zeros(maps.rows, np.float32),
     )
-
-
-FLOOR = np.float32(0.05)
-"""Table 2 counts at least this share of the albedo as if it were Lambertian: the edge of a lobe inside a bin whose
-centre is dark stays within reach."""
-
-
-@inline
-def bin_of(maps, local):
-    """Bin of a unit direction in the frame of the normal, above the horizon."""
-    phi: Any = math.atan2(local[1], local[0])
-    phi = phi + TWO_PI if phi < ZERO else phi
-    column = min(maps.columns - 1, np.int64(phi * (np.float32(maps.columns) / TWO_PI)))
-    row = min(maps.rows - 1, np.int64(local[2] * np.float32(maps.rows)))
-    return row * maps.columns + column
-
-
-@inline
-def direction_in_bin(maps, index, u, v):
-    """Uniform direction of a bin, in the frame of the normal."""
-    row = index // maps.columns
-    column = index - row * maps.columns
-    cosine = (np.float32(row) + u) / np.float32(maps.rows)
-    phi = (np.float32(column) + v) * (TWO_PI / np.float32(maps.columns))
-    sine = math.sqrt(max(ZERO, ONE - cosine * cosine))
-    return sine * math.cos(phi), sine * math.sin(phi), cosine
-
-
-@inline
-def bin_density(maps):
-    """1 / solid angle of a bin [1/sr]."""
-    return np.float32(maps.columns * maps.rows) / TWO_PI
 
 
 @inline
@@ -114,134 +94,68 @@ def gather(maps, work, cluster, p):
 
 
 @inline
-def fill_table1(scene, maps, work, k, n, wo, material):
-    """Weigh the bins of k gathered photons. Returns (occupied bins, their sum); the sum is 0 where none counts."""
-    occupied = 0
-    for i in range(k):
-        photon = work.row[i]
-        wi = vec.row(maps.direction, photon)
-        cosine = vec.dot(n, wi)
-        if cosine <= ZERO:
-            continue
-        w = maps.power[photon] * cosine * vec.luminance(bsdf.evaluate(scene, material, n, wo, wi))
-        if not w > ZERO:
-            continue
-        index = bin_of(maps, vec.to_local(wi, n))
-        if work.weight[index] == ZERO:
-            work.bins[occupied] = index
-            occupied += 1
-        work.weight[index] += w
-    total = ZERO
-    for i in range(occupied):
-        total += work.weight[work.bins[i]]
-        work.cdf[i] = total
-    return occupied, total
+def prepare(scene, maps, work, k, n, wo, material):
+    """Fill what `work.sampling` needs from k gathered photons. Returns (occupied bins, sum of table 1, other sum).
 
-
-@inline
-def fill_table2(scene, maps, work, occupied, n, wo, material):
-    """Weigh the bins that table 1 leaves empty. Returns their sum.
-
-    Lambert needs no BRDF: all bins of a row weigh the same, and only the occupied ones are looked at.
+    The other sum is that of table 2, or of the filled table; 0 for `mis`, which has no second table.
     """
-    total = ZERO
-    lambert = scene.kind[material] == 0
-    floor = FLOOR * vec.luminance(bsdf.albedo(scene, material)) * INV_PI
-    if lambert:
-        for r in range(maps.rows):
-            work.row_sum[r] = np.float32(maps.columns)
-        for i in range(occupied):
-            work.row_sum[work.bins[i] // maps.columns] -= ONE
-    for r in range(maps.rows):
-        cosine = (np.float32(r) + HALF) / np.float32(maps.rows)
-        if lambert:
-            work.row_sum[r] *= cosine  # of a count, which is exact: a full row weighs 0
-        else:
-            work.row_sum[r] = ZERO
-            for c in range(maps.columns):
-                index = r * maps.columns + c
-                wi = vec.to_world(direction_in_bin(maps, index, HALF, HALF), n)
-                work.fill[index] = cosine * (vec.luminance(bsdf.evaluate(scene, material, n, wo, wi)) + floor)
-                work.row_sum[r] += ZERO if work.weight[index] > ZERO else work.fill[index]
-        total += work.row_sum[r]
-    return total
+    occupied, total1 = dt.fill_table1(scene, maps, work, k, n, wo, material)
+    other = ZERO
+    if work.sampling == TWO:
+        other = dt.fill_table2(scene, maps, work, occupied, n, wo, material)
+    elif work.sampling == ONE_CONSTANT:
+        other = ft.fill_constant(maps, work, total1)
+    elif work.sampling == ONE_COSINE:
+        other = ft.fill_cosine(scene, maps, work, occupied, total1, n, wo, material)
+    elif work.sampling == ONE_SMOOTH:
+        other = ft.fill_smooth(maps, work, occupied, total1)
+    return occupied, total1, other
 
 
 @inline
-def clear_tables(work, occupied):
-    """Make the workspace ready for the next gather."""
-    for i in range(occupied):
-        work.weight[work.bins[i]] = ZERO
+def parts(work):
+    """How many samplers are asked S times each."""
+    return 2 if work.sampling <= MIS else 1
 
 
 @inline
-def sample_table1(maps, work, occupied, total, u, v, w):
-    """Direction in the frame of the normal with `table1_pdf`, and its bin's probability; total > 0."""
-    target = u * total
-    low, high = 0, occupied - 1
-    while low < high:
-        middle = (low + high) >> 1
-        if target < work.cdf[middle]:
-            high = middle
-        else:
-            low = middle + 1
-    chosen = work.bins[low]
-    return direction_in_bin(maps, chosen, v, w), work.weight[chosen] / total
+def draw(scene, maps, work, part, occupied, total1, other, n, wo, material, choice, u, v):
+    """Direction of sampler `part` and the density its sample is divided by (solid angle); 0: there is none.
+
+    Tables of disjoint domains, or one table: the sampler's own density. `mis`: the sum of both samplers', each of which
+    is asked equally often, so f cos / density of all samples add up to the balance heuristic.
+    """
+    if work.sampling == MIS:
+        return _draw_mis(scene, maps, work, part, occupied, total1, n, wo, material, choice, u, v)
+    if work.sampling != TWO:
+        local, probability = ft.sample_filled(maps, work, other, choice, u, v)
+    elif part == 0:
+        if total1 <= ZERO:
+            return n, ZERO
+        local, probability = dt.sample_table1(maps, work, occupied, total1, choice, u, v)
+    else:
+        if other <= ZERO:
+            return n, ZERO
+        local, probability = dt.sample_table2(scene, maps, work, material, other, choice, u, v)
+    return vec.to_world(local, n), probability * dt.bin_density(maps)
 
 
 @inline
-def table1_pdf(maps, work, total, local):
-    """Density of `sample_table1` (solid angle); 0 in empty bins."""
-    if local[2] <= ZERO or total <= ZERO:
-        return ZERO
-    return work.weight[bin_of(maps, local)] / total * bin_density(maps)
-
-
-@inline
-def _fill_of(scene, maps, work, material, index):
-    if scene.kind[material] == 0:
-        return (np.float32(index // maps.columns) + HALF) / np.float32(maps.rows)
-    return work.fill[index]
-
-
-@inline
-def sample_table2(scene, maps, work, material, total, u, v, w):
-    """Direction in the frame of the normal with `table2_pdf`, and its bin's probability; total > 0."""
-    target = u * total
-    row, last = 0, 0
-    for r in range(maps.rows):
-        if work.row_sum[r] > ZERO:
-            last = r
-    while row < last and target >= work.row_sum[row]:
-        target -= work.row_sum[row]
-        row += 1
-    chosen = -1
-    for c in range(maps.columns):
-        index = row * maps.columns + c
-        if work.weight[index] > ZERO:
-            continue
-        chosen = index
-        weight = _fill_of(scene, maps, work, material, index)
-        if target < weight:
-            break
-        target -= weight
-    return direction_in_bin(maps, chosen, v, w), _fill_of(scene, maps, work, material, chosen) / total
-
-
-@inline
-def table2_pdf(scene, maps, work, material, total, local):
-    """Density of `sample_table2` (solid angle); 0 in the bins of table 1."""
-    if local[2] <= ZERO:
-        return ZERO
-    index = bin_of(maps, local)
-    if work.weight[index] > ZERO:
-        return ZERO
-    return _fill_of(scene, maps, work, material, index) / total * bin_density(maps)
+def _draw_mis(scene, maps, work, part, occupied, total1, n, wo, material, choice, u, v):
+    if part == 0:
+        if total1 <= ZERO:
+            return n, ZERO
+        local, _ = dt.sample_table1(maps, work, occupied, total1, choice, u, v)
+        direction = vec.to_world(local, n)
+    else:
+        direction = bsdf.sample(scene, material, n, wo, choice, u, v)
+        local = vec.to_local(direction, n)
+    return direction, bsdf.pdf(scene, material, n, wo, direction) + dt.table1_pdf(maps, work, total1, local)
 
 
 @inline
 def splitting(maps, rank, depth):
-    """Samples S of each table: halved every second rank, one from the second diffuse vertex on.
+    """Samples S of each sampler: halved every second rank, one from the second diffuse vertex on.
 
     0 where forecasting does not pay: beyond max_rank, which shrinks by two with each diffuse vertex. It depends on the
     place and the depth alone, never on the samples themselves.

@@ -1,10 +1,10 @@
-"""One pass of IWS+CF as in the paper: caustic directions from two tables.
+"""One pass of IWS+CF as in the paper: caustic directions from tables, two of them or one of their rivals.
 
 At every non-specular vertex p of an eye path:
   A  L_d: the virtual lights, all of them at the first vertex, an unbiased few at deeper ones;
   B  L_d: one BRDF ray, the compensation; what it hits on D counts with 1 - w and carries its full radiance;
-  C  L_c: 2 S directions from the forecast tables; what they hit on S leads to a D vertex that carries its full
-     radiance.
+  C  L_c: S directions from each sampler of the forecast (caustic_forecast); what they hit on S leads to a D vertex
+     that carries its full radiance.
 Outside the ranked clusters one BRDF ray serves B and C: a hit on D is B's, a hit on S is C's.
 Vertices that carry their full radiance are treated alike, one diffuse depth deeper, so there is no depth cut-off;
 roulette ends the paths.
@@ -15,6 +15,7 @@ import math
 import numpy as np
 
 from causticmpi.estimators import caustic_forecast as cf
+from causticmpi.estimators import directional_tables as dt
 from causticmpi.estimators import full_radiance as fr
 from causticmpi.estimators import weak_singularities as ws
 from causticmpi.kernels import bsdf, rng, vec
@@ -43,17 +44,16 @@ def _expand(scene, work, lights, count, maps, few, bound, compensation_reach, ca
         own = vec.mul(throughput, light)
         traced += shadows
     samples, occupied = 0, 0
-    total1, total2 = ZERO, ZERO
+    total1, other = ZERO, ZERO
     if maps.codebook.shape[1] > 0 and caustics:
         cluster = cluster_of(maps, p, n, work.forecast.codeword_distance)
         samples = cf.splitting(maps, maps.rank[cluster], depth)
         if samples > 0:
             k = cf.gather(maps, work.forecast, cluster, p)
-            occupied, total1 = cf.fill_table1(scene, maps, work.forecast, k, n, wo, material)
-            total2 = cf.fill_table2(scene, maps, work.forecast, occupied, n, wo, material)
+            occupied, total1, other = cf.prepare(scene, maps, work.forecast, k, n, wo, material)
     steered = samples > 0
     share = ONE / np.float32(max(samples, 1))
-    for j in range(1 + 2 * samples):
+    for j in range(1 + cf.parts(work.forecast) * samples):
         ray_key = rng.subkey(key, fr.SAMPLE + j)
         reach = INFINITY
         choice, survive = rng.uniform2(ray_key, fr.CHOICE)
@@ -66,18 +66,26 @@ def _expand(scene, work, lights, count, maps, few, bound, compensation_reach, ca
             if steered:  # the ray is the compensation alone: beyond this distance G s <= b for any surface
                 f = bsdf.evaluate(scene, material, n, wo, direction)
                 reach = math.sqrt(cosine * ws.sharpness(f)) * compensation_reach
-        elif j <= samples:
-            if total1 <= ZERO:
-                continue
-            local, probability = cf.sample_table1(maps, work.forecast, occupied, total1, choice, u, v)
         else:
-            if total2 <= ZERO:
+            direction, density = cf.draw(
+                scene,
+                maps,
+                work.forecast,
+                (j - 1) // samples,
+                occupied,
+                total1,
+                other,
+                n,
+                wo,
+                material,
+                choice,
+                u,
+                v,
+            )
+            if density <= ZERO:
                 continue
-            local, probability = cf.sample_table2(scene, maps, work.forecast, material, total2, choice, u, v)
-        if j > 0:
-            direction = vec.to_world(local, n)
             f = bsdf.evaluate(scene, material, n, wo, direction)
-            weight = vec.scale(f, max(ZERO, local[2]) * share / (probability * cf.bin_density(maps)))
+            weight = vec.scale(f, max(ZERO, vec.dot(n, direction)) * share / density)
         weight = vec.mul(throughput, weight)
         if vec.max3(weight) <= ZERO:
             continue
@@ -100,7 +108,7 @@ def _expand(scene, work, lights, count, maps, few, bound, compensation_reach, ca
             own = vec.add(own, light)
         else:
             caustic = vec.add(caustic, light)
-    cf.clear_tables(work.forecast, occupied)
+    dt.clear_tables(work.forecast, occupied)
     return top, layer, own, caustic, traced, lost
 
 

@@ -10,11 +10,14 @@ import numpy as np
 from causticmpi.kernels import kdtree
 from causticmpi.kernels.jit import inline, kernel
 from causticmpi.preprocess.directions import COLUMNS, ROWS, coarse_tables, cone_cosines
+from causticmpi.preprocess.k_means import k_means_codebook
 from causticmpi.preprocess.photons import CausticPoints
 from causticmpi.preprocess.vector_quantization import assign, features, learn_codebook, nearest_codeword
 
 CULLED = 1 << 20
 """Rank of a cluster without energy."""
+CODEBOOKS = {"vq": learn_codebook, "kmeans": k_means_codebook}
+"""Values of `forecast.clustering`."""
 
 
 class ForecastMaps(NamedTuple):
@@ -119,16 +122,17 @@ def build_forecast(
     splitting: int,
     radius: float | None = None,
     overlap: float | None = None,
+    clustering: str = "vq",
 ) -> tuple[ForecastMaps, ClusterStatistics, dict[str, float]]:
     """Cluster, rank and index at least one caustic point. Also returns the seconds of `clustering` and of `trees`.
 
     radius: of the gather in scene units; None: n neighbours at the average density of the ranked clusters.
     overlap: epsilon around a cluster in scene units; None: the radius, so that a gather near the border of a cluster
-    finds what a tree over all photons would.
+    finds what a tree over all photons would. clustering: a key of CODEBOOKS.
     """
     began = time.perf_counter()
     feature, scale = features(points.position, points.normal)
-    codebook = learn_codebook(feature, clusters, seed)
+    codebook = CODEBOOKS[clustering](feature, clusters, seed)
     count = codebook.shape[1]
     cluster = np.empty(feature.shape[1], np.int32)
     assign(codebook, feature, np.empty(count, np.float32), cluster)

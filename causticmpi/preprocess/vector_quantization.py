@@ -80,12 +80,16 @@ def assign(codebook, feature, distance, cluster):
         cluster[i] = nearest_codeword(codebook, _column(feature, i), distance)
 
 
+def training_vectors(count: int, clusters: int, seed: int) -> np.ndarray:
+    """Columns of at most TRAINING vectors per codeword, of `count`, in random order (k,) int64."""
+    generator = np.random.Generator(np.random.Philox(key=seed))
+    return generator.permutation(count)[: TRAINING * clusters].astype(np.int64)
+
+
 def learn_codebook(feature: np.ndarray, clusters: int, seed: int) -> np.ndarray:
     """Codebook (6, m) float32, m <= clusters, of features (6, n); deterministic for a seed."""
-    count = feature.shape[1]
-    clusters = min(clusters, count)
-    generator = np.random.Generator(np.random.Philox(key=seed))
-    training = generator.permutation(count)[: TRAINING * clusters].astype(np.int64)
+    clusters = min(clusters, feature.shape[1])
+    training = training_vectors(feature.shape[1], clusters, seed)
     codebook = np.ascontiguousarray(feature[:, training[:clusters]])
     wins = np.ones(clusters, np.float32)
     distance = np.empty(clusters, np.float32)

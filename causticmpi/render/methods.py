@@ -70,7 +70,7 @@ class WeakSingularities:
     few: int
     bound: float
     caustics: bool
-    mixture: bool
+    sampling: str
     pass_index: int = 0
     lights: Any = None
     light_count: int = 0
@@ -78,8 +78,9 @@ class WeakSingularities:
     def __post_init__(self) -> None:
         self.rays = ray_buffer()
         # Without a cluster there is nothing to mix: the first kernel samples by the BRDF alone then.
-        self.mixture = self.mixture and self.caustics and self.maps.codebook.shape[1] > 0
-        self.work = pass_work(mixture_work(self.maps) if self.mixture else forecast_work(self.maps))
+        self.mixture = self.sampling == "mixture" and self.caustics and self.maps.codebook.shape[1] > 0
+        tables = self.sampling if self.sampling != "mixture" else "two"
+        self.work = pass_work(mixture_work(self.maps) if self.mixture else forecast_work(self.maps, tables))
         self.peak = most_peak(self.scene)
         self.lights = empty_virtual_lights(8 * self.paths)
 
@@ -122,7 +123,7 @@ def make_method(
         config.iws.deep_lights,
         bound,
         caustics=config.method == "iws+cf",
-        mixture=config.forecast.sampling == "mixture",
+        sampling=config.forecast.sampling,
     )
 
 
