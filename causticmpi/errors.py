@@ -1,4 +1,6 @@
-"""The one kind of error a user can mend: bad input. Everything else is a defect and ends with code 1."""
+"""Errors that are one line for the user: bad input (code 2), a result that could not be kept (code 1).
+
+Everything else is a defect and ends with code 1 and a traceback."""
 
 
 class InputError(Exception):
@@ -10,3 +12,7 @@ class InputError(Exception):
     def __init__(self, message: str, file: object = None, line: int | None = None) -> None:
         where = "" if file is None else f"{file}: " if line is None else f"{file}:{line}: "
         super().__init__(where + " ".join(message.split()))
+
+
+class RunError(Exception):
+    """A run whose result could not be written: every rank knows, the root prints the line, exit code 1."""

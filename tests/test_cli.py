@@ -39,7 +39,7 @@ def test_help_and_version() -> None:
     assert [verb for verb in ("render", "check") if f"    {verb} " not in done.stdout] == []
     assert "Exit codes: 0 done, 2 bad input" in " ".join(done.stdout.split())
     done = run_program("render", "--help")
-    options = ("--method", "--time", "--spp", "--out", "--seed", "-j", "--force", "--set")
+    options = ("--method", "--time", "--spp", "--out", "--seed", "-j", "--force", "--resume", "--set")
     assert done.returncode == 0 and [option for option in options if option not in done.stdout] == []
     done = run_program("--version")
     assert (done.returncode, done.stdout) == (0, f"causticmpi {__version__}\n")
@@ -105,7 +105,8 @@ def test_an_occupied_directory_is_refused_and_forced(tmp_path: Path, capfd: pyte
 def test_a_directory_with_other_files_is_welcome(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("mine")
     render_here(tmp_path, "--spp", "1", "--method", "pt")
-    assert {path.name for path in tmp_path.iterdir()} == {"notes.txt", "image.exr", "image.png", "report.json"}
+    results = {"image.exr", "image.png", "report.json", "checkpoint"}
+    assert {path.name for path in tmp_path.iterdir()} == {"notes.txt", *results}
 
 
 def test_the_report(out: Path) -> None:

@@ -102,17 +102,20 @@ class SerialRun(job._Run):
         self.film, self.pending = Film(1, QUANTUM), Film(1, QUANTUM)
         self.batches = Batches(toy, PIXELS, 1)
         self.rounds = self.stopped_by = 0
-        self.snapshots = None
+        self.snapshots = self.state = None
 
     def _say(self, stage: str) -> None: ...
 
     def _round_length(self) -> int:
         return 1  # the pilot would wind the toy's clock on
 
+    def _time_for_tracing(self) -> float:
+        return self.limit
+
     def _show_progress(self) -> None: ...
 
-    def _picture_due(self) -> bool:
-        return False
+    def _writing_due(self, round_seconds: float) -> tuple[bool, bool]:
+        return False, False
 
 
 def test_the_run_itself(clock: Clock) -> None:
@@ -128,6 +131,56 @@ def test_the_run_itself(clock: Clock) -> None:
     found, error = bias(estimate, 14, 4 * RUNS)
     assert abs(found) < CERTAIN * error
     assert error < 0.002
+
+
+class StoppedRun(SerialRun):
+    """Stopped by a signal after half the budget, or going on from where such a run was stopped."""
+
+    def __init__(self, toy: Toy, before: "StoppedRun | None" = None) -> None:
+        super().__init__(toy, BUDGET)
+        if before is None:
+            self.flag = HalfTime(toy.clock)
+            return
+        self.state = SimpleNamespace(
+            passes=before.film.passes,
+            rounds=before.rounds,
+            tracing=before.tracing_kept,
+            writing=before.written_for,
+            covers=lambda budget: False,
+        )
+        self.film.merge(before.film)
+        self.sums_before = None
+
+
+class HalfTime:
+    """A signal that comes when half the budget is spent."""
+
+    def __init__(self, clock: Clock) -> None:
+        self.clock = clock
+
+    @property
+    def raised(self) -> int:
+        return 15 if self.clock.now > BUDGET / 2 else 0
+
+
+def test_a_resumed_run(clock: Clock) -> None:
+    """Stopped in the middle of a round, which is dropped and traced anew by the next start: none the wiser, whatever
+    the cost of the rounds before the stop."""
+    toy = Toy(clock)
+
+    def estimate(value: np.ndarray) -> float:
+        clock.now, toy.value = 0.0, value
+        first = StoppedRun(toy)
+        first.trace()
+        clock.now = 0.0
+        second = StoppedRun(toy, first)
+        second.trace()
+        assert second.film.passes >= first.film.passes
+        return second.film.sums[0, 0] / second.film.passes
+
+    found, error = bias(estimate, 14, 2 * RUNS)
+    assert abs(found) < CERTAIN * error
+    assert error < 0.003
 
 
 @pytest.mark.parametrize(("size", "passes"), [(1, 1), (1, 2), (4, 4), (4, 1), (3, 2)])

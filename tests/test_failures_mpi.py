@@ -36,7 +36,8 @@ def assert_whole(out: Path) -> None:
     depth = layers.pop("depth.Z")  # infinite where the eye sees nothing
     assert all(np.isfinite(channel).all() for channel in layers.values()) and layers["R"].max() > 0 and depth.min() > 0
     assert header["passes"] == read_report(out)["passes"] >= 1
-    assert sorted(set(os.listdir(out)) - {"unfinished"}) == ["image.exr", "image.png", "report.json"]
+    extra = {"unfinished", "checkpoint", "checkpoint.previous"}
+    assert sorted(set(os.listdir(out)) - extra) == ["image.exr", "image.png", "report.json"]
 
 
 @pytest.mark.mpi
@@ -45,7 +46,6 @@ def assert_whole(out: Path) -> None:
     [
         ("raise", 1, "rank 1 of 3 on {host} failed: ValueError: boom in the sampler; ending all ranks"),
         ("raise", -1, "rank 0 of 3 on {host} failed: ValueError: boom in the sampler; ending all ranks"),
-        ("disk-full", 0, "rank 0 of 3 on {host} failed: OSError: [Errno 28] No space left on device"),
         ("kill", 1, ""),
     ],
 )
@@ -81,6 +81,23 @@ def finish(process: "subprocess.Popen[str]") -> tuple[str, str]:
             os.killpg(process.pid, signal.SIGKILL)
     assert process.returncode == 0, err
     return out, err
+
+
+@pytest.mark.mpi
+def test_a_full_disk_ends_nothing_but_the_last_picture_counts(tmp_path: Path) -> None:
+    """Told once while the run goes on; when the last picture cannot be written either, one line and code 1."""
+    require_patient_launcher()
+    out = tmp_path / "out"
+    process = start_mpi(2, troubled("disk-full", 0, tmp_path, *ENDLESS))
+    wait_for(tmp_path / "trouble", process)
+    time.sleep(1.0)
+    process.send_signal(signal.SIGTERM)
+    told, err = process.communicate(timeout=END)
+    assert process.returncode == 1, err
+    line = f"causticmpi: {out}: could not write the picture (no space left on device); what was whole before is kept"
+    assert err.count("cannot be written") == 1 and err.count(line) == 1 and "Traceback" not in err, err
+    assert_whole(out)
+    assert (out / "checkpoint").exists() and (out / "unfinished").exists()
 
 
 def require_patient_launcher() -> None:

@@ -21,14 +21,15 @@ def render(arguments: argparse.Namespace, argv: Sequence[str]) -> int:
         code = launch_ranks(arguments.ranks, argv)
         if code is not None:
             return code
+    from causticmpi.distributed.begin import Request
     from causticmpi.distributed.failure import install_abort_hook, run_to_exit_code
-    from causticmpi.distributed.job import Request
     from causticmpi.distributed.job import render as render_job
     from causticmpi.distributed.world import open_world
 
     def read_request() -> Request:
         config = load_config(arguments.config, overrides(arguments))
-        return Request(config, scene_path(arguments.config, config), arguments.force, ("causticmpi", *argv))
+        scene_file = scene_path(arguments.config, config)
+        return Request(config, scene_file, arguments.force, ("causticmpi", *argv), arguments.resume)
 
     world = open_world()
     install_abort_hook(world)

@@ -17,8 +17,9 @@ from causticmpi.compare.reference import (
     reference_directory,
     told,
 )
+from causticmpi.distributed.begin import Request
 from causticmpi.distributed.clock import Stopwatch
-from causticmpi.distributed.job import Request, render_one
+from causticmpi.distributed.job import render_one
 from causticmpi.distributed.signals import StopFlag
 from causticmpi.distributed.snapshots import Snapshots
 from causticmpi.distributed.warmup import warm_up

@@ -71,7 +71,7 @@ def _placed(config: RenderConfig, directory: Path, seed: int, seconds: float | N
         config,
         seed=seed,
         budget=replace(config.budget, time=seconds, spp=spp),
-        output=replace(config.output, directory=str(directory), interval=NO_PROGRESSIVE_PICTURES),
+        output=replace(config.output, directory=str(directory), interval=NO_PROGRESSIVE_PICTURES, checkpoint=0.0),
     )
 
 

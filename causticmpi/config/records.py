@@ -81,10 +81,14 @@ class Forecast(Record):
 
 
 class Output(Record):
-    """Where the pictures go, and how often a progressive one is written (seconds)."""
+    """Where the pictures go, and how often a progressive one is written (seconds).
+
+    checkpoint: seconds of work that may be lost, whatever happens; 0 writes no checkpoints.
+    """
 
     directory: str = "out"
     interval: Positive = 10.0
+    checkpoint: Annotated[float, Meta(ge=0)] = 60.0
 
 
 class RenderConfig(Record):

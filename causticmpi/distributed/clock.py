@@ -3,7 +3,7 @@
 import contextlib
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 LAUNCHERS = ("mpiexec", "mpirun", "hydra", "prterun", "orterun", "orted", "prted", "srun")
@@ -47,11 +47,18 @@ class Stopwatch:
         self.cpu_zero = time.process_time()
         self.cpu_startup = 0.0 if from_now else self.cpu_zero
         self.compiling = 0.0
+        self.before = 0.0
         self.stages: dict[str, float] = {} if from_now else {"startup": age}
 
     def elapsed(self) -> float:
-        """Seconds of the run so far, compilation left out."""
-        return time.monotonic() - self._zero - self.compiling
+        """Seconds of the run so far, those of earlier starts included and compilation left out."""
+        return self.before + time.monotonic() - self._zero - self.compiling
+
+    def go_on_from(self, elapsed: float, stages: Mapping[str, float]) -> None:
+        """Count what earlier starts of this run took."""
+        self.before = elapsed
+        for name, seconds in stages.items():
+            self.add(name, seconds)
 
     @contextlib.contextmanager
     def stage(self, name: str) -> Iterator[None]:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import NoReturn
 
 from causticmpi.distributed.world import AgreedInputError, World
-from causticmpi.errors import InputError
+from causticmpi.errors import InputError, RunError
 
 LAST_RESORT = 5.0
 """Seconds a silent failing rank waits to be ended by the one that prints."""
@@ -54,7 +54,8 @@ def install_abort_hook(world: World) -> None:
 
 
 def run_to_exit_code(world: World, body: Callable[[], int]) -> int:
-    """Run `body` on every rank, close the world, return the exit code: 2 after bad input, else what `body` returned.
+    """Run `body` on every rank, close the world, return the exit code: 2 after bad input, 1 after a RunError, else what
+    `body` returned.
 
     Bad input that all ranks know of (AgreedInputError), or that of a world of one process, is printed by the root. Bad
     input that one rank has not shared ends all ranks with its message. Other exceptions are for the abort hook.
@@ -67,5 +68,9 @@ def run_to_exit_code(world: World, body: Callable[[], int]) -> int:
         if world.is_root:
             sys.stderr.write(f"causticmpi: {error}\n")
         code = 2
+    except RunError as error:
+        if world.is_root:
+            sys.stderr.write(f"causticmpi: {error}\n")
+        code = 1
     world.close()
     return code

@@ -6,14 +6,15 @@ import shlex
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from causticmpi.config.records import RenderConfig
 from causticmpi.distributed import leaving
+from causticmpi.distributed.begin import Input, Request, claim, nothing_to_do, read_input
+from causticmpi.distributed.checkpoint import State, maps_hash, sample_keys, samples_version
 from causticmpi.distributed.clock import Stopwatch
+from causticmpi.distributed.keeper import Keeper
 from causticmpi.distributed.prepare import (
     Forecasting,
     PreparedScene,
@@ -27,19 +28,17 @@ from causticmpi.distributed.snapshots import Snapshots
 from causticmpi.distributed.usage import measure_usage
 from causticmpi.distributed.warmup import warm_up
 from causticmpi.distributed.world import World
-from causticmpi.errors import InputError
+from causticmpi.errors import RunError
 from causticmpi.kernels.embree import ray_buffer
 from causticmpi.kernels.pixels import pixel_order
-from causticmpi.output.directory import Claim, check_directory, claim_directory
+from causticmpi.output.directory import UNFINISHED, Claim
 from causticmpi.output.progress import Progress
 from causticmpi.output.report import provenance
 from causticmpi.render.features import first_hits
 from causticmpi.render.film import Film, quantum_for
 from causticmpi.render.methods import make_method
 from causticmpi.render.rounds import Batches, divide, equal_round
-from causticmpi.scene.content import with_camera
 from causticmpi.scene.data import SceneData
-from causticmpi.scene.load import load_scene
 from causticmpi.scene.tracing import camera_array
 
 DROPPED = 128
@@ -50,26 +49,15 @@ The largest counts for all. A signal that a late rank's DROPPED hides does no ha
 ROUND_SECONDS = 1.0
 """Aim of a round, times the ranks that share a core: what a round costs besides tracing is CPU time of each rank. At
 most 1/30 of a time budget is lost with the round that is dropped."""
-WRITE_SHARE = 0.05
-"""Progressive pictures may cost this share of the time."""
 FIRST_WRITE, FIRST_WRITE_PER_PIXEL = 0.3, 1e-6
 """Seconds reserved for writing as long as no picture has been written: libraries to load, and a slow machine."""
-
-
-@dataclass(frozen=True)
-class Request:
-    """What rank 0 read from the command line. directory: where the pictures go; command: for the provenance."""
-
-    config: RenderConfig
-    scene_file: Path
-    force: bool
-    command: tuple[str, ...]
 
 
 def render(world: World, read_request: Callable[[], Request]) -> int:
     """Collective. Render what rank 0's `read_request` asks for; returns the exit code.
 
-    Raises AgreedInputError on all ranks for bad input, before anything is written.
+    Raises AgreedInputError on all ranks for bad input, before anything is written, and RunError on all ranks if the
+    result could not be written.
     """
     with StopFlag() as flag:
         render_one(world, read_request, Stopwatch(), flag)
@@ -88,12 +76,14 @@ def render_one(
     The budget counts from the zero of `watch`. snapshots: keeps pictures of the growing run (see there). Returns the
     signal that stopped the run, 0 for none. Raises as `render` does.
     """
-    request, scene_data = _read_input(world, read_request, watch)
-    config = request.config
-    _warm_up(world, config, scene_data, watch)
+    given = read_input(world, read_request, watch)
+    if world.broadcast(nothing_to_do(given) if world.is_root else None):
+        return 0
+    config = given.request.config
+    _warm_up(world, config, given.scene, watch)
     with watch.stage("load"):
-        scene = share_scene(world, scene_data, config.watertight)
-    run = _Run(world, request, scene, _claim(world, request), watch, flag, snapshots)
+        scene = share_scene(world, given.scene, config.watertight)
+    run = _Run(world, given, scene, claim(world, given.request), watch, flag, snapshots)
     if not run.asked_to_stop():
         run.forecast()
         run.trace()
@@ -101,39 +91,6 @@ def render_one(
     scene.embree.close()
     world.release()
     return run.stopped_by
-
-
-def _read_input(
-    world: World, read_request: Callable[[], Request], watch: Stopwatch
-) -> tuple[Request, SceneData | None]:
-    """Rank 0 reads everything that can be wrong before a rank does any work; all ranks learn of the verdict."""
-    error: InputError | None = None
-    request = scene = None
-    if world.is_root:
-        try:
-            with watch.stage("load"):
-                request = read_request()
-                scene = load_scene(request.scene_file)
-                if request.config.camera is not None:
-                    scene = with_camera(scene, request.config.camera)
-            check_directory(request.config.output.directory, force=request.force)
-        except InputError as found:
-            error = found
-    world.agree(error)
-    return world.broadcast(request), scene
-
-
-def _claim(world: World, request: Request) -> Claim | None:
-    """Rank 0 takes the directory, once nothing of the input is left that could be wrong."""
-    error: InputError | None = None
-    claim = None
-    if world.is_root:
-        try:
-            claim = claim_directory(request.config.output.directory, force=request.force)
-        except InputError as found:
-            error = found
-    world.agree(error)
-    return claim
 
 
 def _warm_up(world: World, config: RenderConfig, scene: SceneData | None, watch: Stopwatch) -> None:
@@ -153,16 +110,20 @@ class _Run:
     def __init__(
         self,
         world: World,
-        request: Request,
+        given: Input,
         scene: PreparedScene,
         claim: Claim | None,
         watch: Stopwatch,
         flag: StopFlag,
         snapshots: Snapshots | None,
     ) -> None:
-        config = request.config
+        config = given.request.config
         self.snapshots = snapshots
+        self.state: State | None = world.broadcast(given.state)
+        self.sums_before = given.sums
         self.world, self.config, self.scene, self.watch, self.flag = world, config, scene, watch, flag
+        if self.state is not None:
+            watch.go_on_from(self.state.elapsed, self.state.stages)
         window = config.film.crop or (0, 0, config.film.width, config.film.height)
         slots = (window[2] - window[0]) * (window[3] - window[1])
         self.camera = camera_array(scene.data.camera, config.film.width, config.film.height)
@@ -170,10 +131,9 @@ class _Run:
         quantum = quantum_for(scene.brightest)
         self.film, self.pending = Film(slots, quantum), Film(slots, quantum)
         self.limit = float(config.budget.time) if config.budget.time is not None else None
-        self.rounds = 0
+        self.rounds = self.round_passes = 0
         self.stopped_by = 0
-        self.last_write = 0.0
-        self.write_cost = 0.0
+        self.tracing_kept = 0.0
         self.reserve = FIRST_WRITE + FIRST_WRITE_PER_PIXEL * slots + leaving.expected_seconds(world.node_size)
         if claim is not None:
             facts = {
@@ -184,9 +144,15 @@ class _Run:
                 "embree_bytes_per_rank": scene.embree.bytes,
                 "ray_packet_width": 16 if scene.embree.native16 else 8,
             }
-            source = provenance(shlex.join(request.command), facts, scene.data.content_hash)
+            source = provenance(shlex.join(given.request.command), facts, scene.data.content_hash)
             self.progress = Progress(self.limit, config.budget.spp)
             self.result = Result(config, claim, source, self._first_hits())
+            output, resumed = config.output, self.state is not None
+            limited = self.limit is not None
+            self.keeper = Keeper(
+                claim.directory, output.interval, output.checkpoint, slots, limited=limited, resumed=resumed
+            )
+            self.reserve += self.keeper.save_cost
 
     def _first_hits(self) -> np.ndarray:
         features = np.zeros((self.film.slots, 7), np.float32)
@@ -211,6 +177,13 @@ class _Run:
         if self.world.is_root:
             for warning in self.forecasting.warnings:
                 print(f"causticmpi: warning: {warning}", file=sys.stderr)
+            self.maps_hash = maps_hash(self.forecasting.maps)
+            if self.state is not None and self.state.maps != self.maps_hash:
+                print(
+                    "causticmpi: warning: this machine makes other forecast maps of the same seed: the picture stays "
+                    "unbiased, but is not bit for bit that of a run on one machine",
+                    file=sys.stderr,
+                )
 
     def trace(self) -> None:
         """Rounds until the budget is spent: each is merged whole or dropped whole, the first is always finished.
@@ -219,54 +192,83 @@ class _Run:
         the cost of past rounds decide on later ones bends the picture (render.rounds).
         """
         self._say("tracing")
-        length = passes = self._round_length()
+        self.round_passes = self._round_length()
         self._start_the_clock()
+        self._take_up()
+        passes = self.world.broadcast(self._next_round())
         while passes > 0:
             began = time.perf_counter()
             dropped, self.stopped_by = self._trace_round(passes)
-            self.watch.add("tracing", time.perf_counter() - began)
+            seconds = time.perf_counter() - began
+            self.watch.add("tracing", seconds)
             if dropped:
                 break
             self.film.merge(self.pending)
             self.film.passes += passes
             self.rounds += 1
+            self.tracing_kept = self._tracing_clock()
             if self.stopped_by:
                 break
-            passes = self.world.broadcast(self._next_round(length))
+            passes = self.world.broadcast(self._next_round())
             if self.snapshots is not None and self.snapshots.due(self.film.passes):
                 self._take_snapshot(self.snapshots)
-            if passes > 0 and self.world.broadcast(self._picture_due()):
-                self._write_in_between()
+            picture, checkpoint = self.world.broadcast(self._writing_due(seconds))
+            if passes > 0 and (picture or checkpoint):
+                self._write_in_between(picture, checkpoint)
 
     def _round_length(self) -> int:
-        """Collective. Passes of every round, from a pilot on all ranks at once."""
+        """Collective. Passes of every round, from a pilot on all ranks at once; a resumed run keeps to what it had, for
+        the length must not hang on the cost of rounds before."""
+        if self.state is not None:
+            return self.state.round_passes
         crowd = self.world.all_max(-(-self.world.node_size // (os.cpu_count() or 1)))
         aim = ROUND_SECONDS * crowd if self.limit is None else max(0.05, min(ROUND_SECONDS * crowd, self.limit / 30))
         self.world.barrier()
         slowest = self.world.all_max(int(1e6 * self.batches.pilot_seconds()))
-        length = equal_round(slowest / 1e6, aim, self.world.size)
-        return min(length, self.config.budget.spp) if self.config.budget.spp is not None else length
+        return equal_round(slowest / 1e6, aim, self.world.size)
 
     def _start_the_clock(self) -> None:
         """Collective. All ranks count from rank 0's start, whatever they waited for before; the time left is divided
-        into tracing and the writing of progressive pictures."""
+        into tracing and the writing of progressive pictures.
+
+        The division of a resumed run hangs on what all its starts spent on preparing, never on what its rounds cost.
+        """
         self.world.barrier()  # rank 0 would not wait: who comes late to the broadcast would be late ever after
         elapsed = self.world.broadcast(self.watch.elapsed())
         now = time.monotonic()
-        self.clock_zero, self.tracing_zero, self.tracing_since = now - elapsed, now, elapsed
-        self.written_for = 0.0
-        self.for_writing = self.for_tracing = math.inf
-        if self.limit is not None:
-            left = max(0.0, self.limit - elapsed - self.reserve)
-            pictures = left // self.config.output.interval
-            self.for_writing = min(WRITE_SHARE * left, pictures * self.reserve)
-            self.for_tracing = left - self.for_writing
+        self.clock_zero, self.tracing_since = now - elapsed, elapsed
+        self.written_for = self.state.writing if self.state is not None else 0.0
+        self.tracing_kept = self.state.tracing if self.state is not None else 0.0
+        self.tracing_zero = now - self.written_for - self.tracing_kept
+        self.preparing = elapsed - self.written_for - self.tracing_kept
+        self.for_tracing = self.world.broadcast(self._time_for_tracing() if self.world.is_root else None)
+
+    def _time_for_tracing(self) -> float:
+        self.keeper.begin(self._elapsed())
+        if self.limit is None:
+            return math.inf
+        left = max(0.0, self.limit - self.preparing - self.reserve)
+        return left - self.keeper.allow(left, self.reserve)
+
+    def _take_up(self) -> None:
+        """Put what the checkpoint has into the film: rank 0 holds the sums of all ranks."""
+        if self.state is None:
+            return
+        self.film.passes, self.rounds = self.state.passes, self.state.rounds
+        if self.sums_before is not None:
+            self.film.sums[:] = self.sums_before
+            self.film.rays, self.film.nonfinite = self.state.rays, self.state.nonfinite
+            self.sums_before = None
 
     def _elapsed(self) -> float:
         return time.monotonic() - self.clock_zero
 
+    def _tracing_clock(self) -> float:
+        """Seconds of the budget spent on tracing: this clock stands still while something is written."""
+        return time.monotonic() - self.tracing_zero - self.written_for
+
     def _time_is_over(self) -> bool:
-        return time.monotonic() - self.tracing_zero - self.written_for > self.for_tracing
+        return self._tracing_clock() > self.for_tracing
 
     def _must_stop(self) -> bool:
         if self.rounds == 0:
@@ -284,23 +286,24 @@ class _Run:
         dropped, signal = divmod(self.world.all_max(self.flag.raised + (0 if whole else DROPPED)), DROPPED)
         return dropped > 0, signal
 
-    def _next_round(self, length: int) -> int:
+    def _next_round(self) -> int:
         """Passes of the next round; 0 ends the run. Rank 0's word counts."""
         if self.config.budget.spp is not None:
-            return min(length, self.config.budget.spp - self.film.passes)
-        return 0 if self._time_is_over() else length
+            return max(0, min(self.round_passes, self.config.budget.spp - self.film.passes))
+        if self.state is not None and self.state.covers(self.config.budget):
+            return 0
+        return 0 if self.rounds > 0 and self._time_is_over() else self.round_passes
 
-    def _picture_due(self) -> bool:
-        """A progressive picture each interval, as far as the time for writing goes; without a time budget, less often
-        where writing costs more than its share."""
-        since = self._elapsed() - self.last_write
-        if self.limit is None:
-            return since > max(self.config.output.interval, self.write_cost / WRITE_SHARE)
-        return since > self.config.output.interval and self.written_for + self.write_cost <= self.for_writing
+    def _writing_due(self, round_seconds: float) -> tuple[bool, bool]:
+        """Whether a picture, and whether a checkpoint, is to be written between two rounds. Rank 0's word counts."""
+        if not self.world.is_root:
+            return False, False
+        elapsed = self._elapsed()
+        return self.keeper.picture_due(elapsed, self.written_for), self.keeper.save_due(elapsed, round_seconds)
 
-    def _write_in_between(self) -> None:
+    def _write_in_between(self, picture: bool, checkpoint: bool) -> None:
         began = time.monotonic()
-        self._reduce_and_write()
+        self._merge_and_write(picture, checkpoint)
         self.written_for += time.monotonic() - began
 
     def _take_snapshot(self, snapshots: Snapshots) -> None:
@@ -315,12 +318,13 @@ class _Run:
 
     def _show_progress(self) -> None:
         elapsed = self._elapsed()
-        rays = (self.film.rays + self.pending.rays) * self.world.size / max(elapsed - self.tracing_since, 1e-9)
+        traced = self.film.rays + self.pending.rays - (self.state.rays if self.state is not None else 0)
+        rays = traced * self.world.size / max(elapsed - self.tracing_since, 1e-9)
         self.progress.update(elapsed, self.film.passes, self.film.passes, rays, self.result.error)
 
-    def _reduce_and_write(self) -> None:
-        """Collective. Merge the sums of all ranks into a picture, and have rank 0 write it."""
-        began = time.perf_counter()
+    def _merge_and_write(self, picture: bool, checkpoint: bool, last: bool = False) -> None:
+        """Collective. Merge the sums of all ranks, and have rank 0 write a checkpoint and a picture of them."""
+        taken = self._elapsed()
         with self.watch.stage("reduce"):
             sums = self.world.reduce_sum(self.film.sums)
             counts = self.world.reduce_sum(np.array([self.film.rays, self.film.nonfinite], np.int64))
@@ -328,23 +332,63 @@ class _Run:
         if self.world.is_root:
             assert sums is not None and counts is not None and usage is not None
             merged = Merged(sums, self.film.passes, int(counts[0]), int(counts[1]), usage)
-            self.watch.add("write", self.result.write(merged, self.forecasting, self.watch))
-        self.write_cost, self.last_write = self.world.broadcast((time.perf_counter() - began, self._elapsed()))
+            if checkpoint:
+                with self.watch.stage("write"):
+                    self.keeper.save(self._state(merged, complete=last and not self.stopped_by), sums, taken, last)
+            if picture:
+                self.keeper.write_picture(lambda: self._write_picture(merged), self._elapsed, last)
+        self.world.barrier()
+
+    def _write_picture(self, merged: Merged) -> None:
+        self.watch.add("write", self.result.write(merged, self.forecasting, self.watch))
+
+    def _state(self, merged: Merged, complete: bool) -> State:
+        return State(
+            version=samples_version(),
+            config=sample_keys(self.config),
+            scene=self.scene.data.content_hash,
+            seeds=(self.config.seed,),
+            maps=self.maps_hash,
+            passes=merged.passes,
+            rays=merged.rays,
+            nonfinite=merged.nonfinite,
+            rounds=self.rounds,
+            round_passes=self.round_passes,
+            budget=self.config.budget,
+            complete=complete,
+            preparing=self.preparing,
+            tracing=self.tracing_kept,
+            writing=self.written_for,
+            stages=dict(self.watch.stages),
+        )
 
     def finish(self) -> None:
-        """Collective. The final picture; a run stopped before its first round was finished has none, and says so."""
+        """Collective. The last checkpoint and picture; a run stopped before its first round was finished has none, and
+        says so. Raises RunError on all ranks if they cannot be written."""
         passes = self.film.passes
         if passes > 0:
             self._say("writing")
-            self._reduce_and_write()
-        if not self.world.is_root:
-            return
-        if passes > 0:
-            self._show_progress()
-        self.progress.close()
+            self._merge_and_write(picture=True, checkpoint=True, last=True)
+        failure = ""
+        if self.world.is_root:
+            if passes > 0:
+                self._show_progress()
+            self.progress.close()
+            self._leave_marker(passes)
+            failure = self.keeper.failure()
+        failure = self.world.broadcast(failure)
+        if failure:
+            raise RunError(failure)
+        if self.world.is_root:
+            self._tell_result()
+
+    def _leave_marker(self, passes: int) -> None:
+        """The file that tells a batch script to start the run again, there exactly while it is unfinished."""
         if self.stopped_by:
-            self.result.mark_unfinished(self.stopped_by, passes)
-        self._tell_result()
+            kept = passes or (self.state.passes if self.state is not None else 0)
+            self.keeper.keep("marker", lambda: self.result.mark_unfinished(self.stopped_by, kept), last=True)
+        else:
+            (self.result.directory / UNFINISHED).unlink(missing_ok=True)
 
     def _tell_result(self) -> None:
         passes, error = self.film.passes, self.result.error
@@ -352,5 +396,7 @@ class _Run:
         words += "s" if self.world.size > 1 else ""
         words += "" if error is None else f", estimated relMSE {error:.2g}"
         if self.stopped_by:
-            words += f", stopped by signal {self.stopped_by}" + ("" if passes else ": no picture")
+            words += f", stopped by signal {self.stopped_by}"
+            if not passes:
+                words += ": no picture" if self.state is None else f": the {self.state.passes} passes of before stay"
         print(f"{self.result.directory}: {words}", flush=True)

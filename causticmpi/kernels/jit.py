@@ -18,7 +18,8 @@ PACKAGE = Path(__file__).resolve().parents[1]
 KERNEL_ROOMS = ("kernels", "preprocess", "estimators", "render")
 
 
-def _source_hash() -> str:
+def source_hash() -> str:
+    """16 hex digits of every source that samples depend on; those of the scene show in the hash of its arrays."""
     digest = hashlib.sha256()
     for room in KERNEL_ROOMS:
         for source in sorted((PACKAGE / room).glob("*.py")):
@@ -42,7 +43,7 @@ def cache_directory() -> Path:
     home = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
     candidates = [Path(base)] if base else []
     candidates += [Path(home) / "causticmpi", Path(tempfile.gettempdir()) / f"causticmpi-{os.getuid()}"]
-    name = _source_hash()
+    name = source_hash()
     for candidate in candidates:
         if _writable(candidate / name):
             return candidate / name
