@@ -129,7 +129,10 @@ def build_forecast(
     radius: of the gather in scene units; None: n neighbours at the average density of the ranked clusters.
     overlap: epsilon around a cluster in scene units; None: the radius, so that a gather near the border of a cluster
     finds what a tree over all photons would. clustering: a key of CODEBOOKS.
+    Raises ValueError for photons that are not finite: a density made of them would be none.
     """
+    if not all(np.isfinite(array).all() for array in points):
+        raise ValueError("a photon of the forecast is not finite: found nan or inf; allowed: finite numbers")
     began = time.perf_counter()
     feature, scale = features(points.position, points.normal)
     codebook = CODEBOOKS[clustering](feature, clusters, seed)

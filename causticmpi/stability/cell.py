@@ -1,0 +1,203 @@
+"""One contender in one cell: independent batches of passes within a CPU time, without files or ranks."""
+
+import dataclasses
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from causticmpi.compare.statistics import block_means
+from causticmpi.config.records import RenderConfig
+from causticmpi.distributed.clock import Stopwatch
+from causticmpi.distributed.prepare import PreparedScene, prepare_forecast, share_maps, share_scene
+from causticmpi.distributed.result import peak_memory_mb
+from causticmpi.distributed.warmup import warm_up
+from causticmpi.distributed.world import SerialWorld
+from causticmpi.kernels.embree import ray_buffer
+from causticmpi.kernels.pixels import pixel_order
+from causticmpi.preprocess.forecast import ForecastMaps, build_forecast
+from causticmpi.preprocess.photons import shoot_photons
+from causticmpi.render.methods import BIASED, FORECASTING, Method, automatic_bound, make_method
+from causticmpi.render.rounds import PILOT_PASS
+from causticmpi.scene.data import SceneData
+from causticmpi.scene.load import load_scene
+from causticmpi.scene.tracing import camera_array
+from causticmpi.stability.lies import LIES
+
+BLOCKS = 4
+"""Squares along a side of the film whose means are compared: few, so that rare bright paths even out in each."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What a contender did in a cell. rgb, variance (H, W, 3): mean picture and variance of its mean, over `batches`.
+
+    blocks (batches, k): means of squares of the film; caustic: mean luminance of L_c; seconds: CPU time of tracing,
+    `preprocess` apart; slowest: the longest pass over the mean one; brightest: largest radiance of a light;
+    radius: the search radius used (nan: none); bound: what `auto` means for b.
+    """
+
+    label: str
+    method: str
+    biased: bool
+    passes: int
+    seconds: float
+    preprocess: float
+    rays: int
+    slowest: float
+    memory_mb: float
+    nonfinite: int
+    rgb: np.ndarray
+    variance: np.ndarray
+    blocks: np.ndarray
+    caustic: float
+    brightest: float
+    radius: float
+    bound: float
+
+    @property
+    def pass_seconds(self) -> float:
+        """CPU seconds of a pass."""
+        return self.seconds / self.passes
+
+    @property
+    def samples(self) -> int:
+        """Eye paths traced."""
+        return self.passes * self.rgb.shape[0] * self.rgb.shape[1]
+
+
+@dataclass
+class Bench:
+    """A scene in this process and one method with its forecast, ready for passes."""
+
+    scene: PreparedScene
+    config: RenderConfig
+    method: Method
+    maps: ForecastMaps
+    preprocess: float
+    pixels: np.ndarray
+
+    def add_pass(self, index: int, film: np.ndarray) -> int:
+        """One pass added to `film` (slots, 6); returns the rays traced."""
+        return self.method.begin_pass(index) + self.method.trace(self.pixels, film)
+
+    def close(self) -> None:
+        """Free Embree's tree."""
+        self.scene.embree.close()
+
+
+def config_for(side: int, seed: int, settings: Mapping[str, Any]) -> RenderConfig:
+    """A render config from dotted keys. Raises msgspec.ValidationError for a value that is not allowed."""
+    plain: dict[str, Any] = {"scene": "", "film": {"width": side, "height": side}, "seed": seed}
+    for key, value in settings.items():
+        *sections, last = key.split(".")
+        at = plain
+        for section in sections:
+            at = at.setdefault(section, {})
+        at[last] = value
+    return msgspec.convert(plain, RenderConfig)
+
+
+def set_up(scene_file: Path, config: RenderConfig, lie: str = "none") -> Bench:
+    """Load, shoot, cluster. lie: of the forecast's photons, a key of `LIES`. Raises InputError for a refused scene."""
+    _compile(config)
+    world = SerialWorld()
+    data = load_scene(scene_file)
+    scene = share_scene(world, data)
+    began = time.process_time()
+    if lie == "none":
+        maps = prepare_forecast(world, config, scene, Stopwatch(from_now=True)).maps
+    else:
+        maps = share_maps(world, _lying_maps(config, data, lie))
+    preprocess = time.process_time() - began
+    film = config.film
+    method = make_method(config, scene.traced, camera_array(data.camera, film.width, film.height), maps, scene.extent)
+    pixels = pixel_order((0, 0, film.width, film.height), film.width)
+    return Bench(scene, config, method, maps, preprocess, pixels)
+
+
+def _compile(config: RenderConfig) -> None:
+    """Load or compile a method's kernels once per process: no cell pays for it."""
+    kind = (config.method, config.forecast.sampling)
+    if kind not in _COMPILED:
+        _COMPILED.add(kind)
+        warm_up(config, True, config.method in FORECASTING)
+
+
+_COMPILED: set[tuple[str, str]] = set()
+
+
+def _lying_maps(config: RenderConfig, data: SceneData, lie: str) -> ForecastMaps:
+    shot_in = share_scene(SerialWorld(), _lights_moved(data) if lie == "wrong light" else data)
+    points, _, _ = shoot_photons(shot_in.traced, ray_buffer(), config.seed, config.forecast.photons)
+    shot_in.embree.close()
+    f = config.forecast
+    points = LIES[lie](points, np.random.default_rng(7))
+    return build_forecast(points, config.seed, f.clusters, f.neighbours, f.table, f.max_rank, f.splitting)[0]
+
+
+def _lights_moved(data: SceneData) -> SceneData:
+    """All emitting triangles a third of the scene aside."""
+    vertices = data.vertices.copy()
+    emitting = np.unique(data.triangles[data.primitive_emission[: len(data.triangles)] >= 0])
+    vertices[emitting, 0] += np.float32(np.ptp(vertices[:, 0]) / 3)
+    return dataclasses.replace(data, vertices=vertices)
+
+
+def measure(bench: Bench, label: str, seconds: float, batches: int) -> Measured:
+    """Batches of equally many passes, so many that they take about `seconds` of CPU time in all.
+
+    Their number follows a pilot whose samples are thrown away: what the picture costs has no say in what it shows.
+    """
+    film = bench.config.film
+    shape = (film.height, film.width)
+    slots = film.height * film.width
+    one = np.zeros((slots, 6), np.float32)
+    costs = []
+    for i in range(3):
+        began = time.process_time()
+        bench.add_pass(PILOT_PASS + i, one)
+        costs.append(time.process_time() - began)
+        if sum(costs) > seconds / 4:
+            break
+    passes = max(1, round(seconds / batches / max(min(costs), 1e-6)))
+    means = np.zeros((batches, *shape, 3))
+    caustic, rays, nonfinite, slowest, spent = 0.0, 0, 0, 0.0, 0.0
+    for b in range(batches):
+        total = np.zeros((slots, 6))
+        for i in range(passes):
+            one[:] = 0
+            began = time.process_time()
+            rays += bench.add_pass(b * passes + i, one)
+            cost = time.process_time() - began
+            spent, slowest = spent + cost, max(slowest, cost)
+            bad = ~np.isfinite(one).all(axis=1)
+            nonfinite += int(bad.sum())
+            one[bad] = 0
+            total += one
+        total /= passes
+        means[b] = (total[:, :3] + total[:, 3:]).reshape(*shape, 3)
+        caustic += float(total[:, 3:].mean()) / batches
+    return Measured(
+        label=label,
+        method=bench.config.method,
+        biased=bench.config.method in BIASED,
+        passes=batches * passes,
+        seconds=spent,
+        preprocess=bench.preprocess,
+        rays=rays,
+        slowest=slowest * batches * passes / max(spent, 1e-9),
+        memory_mb=peak_memory_mb(),
+        nonfinite=nonfinite,
+        rgb=means.mean(axis=0),
+        variance=means.var(axis=0, ddof=1) / batches,
+        blocks=np.array([block_means(mean, max(1, shape[0] // BLOCKS)) for mean in means]),
+        caustic=caustic,
+        brightest=bench.scene.brightest,
+        radius=float(bench.maps.radius) if bench.maps.codebook.shape[1] else float("nan"),
+        bound=automatic_bound(bench.scene.extent),
+    )

@@ -1,0 +1,150 @@
+"""The stability report: pages read and checked, cells measured by several processes, one HTML page written."""
+
+import multiprocessing
+import sys
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from causticmpi import __version__
+from causticmpi.compare import charts, tables
+from causticmpi.compare.page import Image, Section, page
+from causticmpi.compare.tables import Table
+from causticmpi.config.convert import convert
+from causticmpi.config.yaml_source import read_yaml
+from causticmpi.errors import InputError
+from causticmpi.output.directory import write_whole
+from causticmpi.output.progress import clock
+from causticmpi.stability import show, sweep, verdicts
+from causticmpi.stability.records import Page
+
+REPORT, TABLES = "report.html", "tables.md"
+SUMMARY = "Verdicts"
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """A page, the name it has from its file, and the directory of that file."""
+
+    name: str
+    page: Page
+    place: Path
+
+
+def read_pages(files: Sequence[Path]) -> list[Loaded]:
+    """Read and check every page. Raises InputError with its place."""
+    pages = []
+    for file in files:
+        source = read_yaml(file)
+        made = convert(source, (), source.data, Page)
+        try:
+            sweep.check_page(made, source.file.parent)
+        except InputError as error:
+            raise InputError(str(error), source.file) from None
+        pages.append(Loaded(file.stem, made, source.file.parent))
+    return pages
+
+
+def make_report(files: Sequence[Path], out: Path, scale: float, processes: int, command: str) -> int:
+    """Measure all pages and write the report into `out`; the number of cells that are wrong.
+
+    scale: of all CPU times, numbers of runs and samples.
+    """
+    charts.require_matplotlib()
+    pages = read_pages(files)
+    out.mkdir(parents=True, exist_ok=True)
+    began = time.monotonic()
+    # Spawned, not forked: each process has its own Embree device; compiled kernels come from the disk.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(processes, mp_context=context) as pool:
+        waiting = [(loaded, _submit(pool.submit, loaded, out / loaded.name, scale)) for loaded in pages]
+        sections, wrong = [], 0
+        for loaded, tasks in waiting:
+            section, failed = _section(loaded, {name: task.result() for name, task in tasks.items()})
+            print(f"{clock(time.monotonic() - began)} {loaded.name}: {section.paragraphs[1]}", flush=True)
+            sections.append(section)
+            wrong += failed
+    _write(out, sections, scale, processes, time.monotonic() - began, command)
+    print(out / REPORT)
+    return wrong
+
+
+def _submit(submit: Callable[..., Future[Any]], loaded: Loaded, out: Path, scale: float) -> dict[str, Future[Any]]:
+    """Start a page's tasks; their results are what `_section` takes."""
+    made = loaded.page
+    assert made.sweep is not None
+    tasks = {
+        f"{i}": submit(sweep.measure_point, made, loaded.place, out, i, scale) for i in range(len(made.sweep.values))
+    }
+    if sweep.rivals_are_common(made) and made.truth.rivals:
+        tasks["rivals"] = submit(sweep.measure_rivals, made, loaded.place, out, scale)
+    return tasks
+
+
+def _section(loaded: Loaded, results: dict[str, Any]) -> tuple[Section, int]:
+    """The section of a page, and how many of its cells are wrong."""
+    made = loaded.page
+    rivals = results.pop("rivals", [])
+    rows = sweep.all_rows(made, list(results.values()), rivals)
+    failing = verdicts.failures(rows)
+    wrong = [row for row in rows if row.verdict == "WRONG"]
+    paragraphs = [made.question, verdicts.verdict(made, rows)]
+    paragraphs += ["Cells that fail: " + "; ".join(failing) + "."] if failing else []
+    caption = (
+        f"{made.title}. Below: pictures of {made.contenders[-1].label} by {made.sweep.name if made.sweep else ''}."
+    )
+    image = Image(loaded.name, charts.as_png(show.chart(made, rows)), caption)
+    alarm = f"{len(wrong)} cells are wrong." if wrong else ""
+    return Section(made.title, paragraphs, [image, show.table(loaded.name, made, rows)], alarm), len(wrong)
+
+
+def _write(out: Path, sections: Sequence[Section], scale: float, processes: int, seconds: float, command: str) -> None:
+    title = "Where methods fail"
+    summary = Table(
+        "verdicts", "All verdicts", ("page", "verdict"), tuple((s.title, s.paragraphs[1]) for s in sections)
+    )
+    introduction = [
+        f"causticmpi {__version__}, {processes} processes, {clock(seconds)}, CPU times times {scale:g}. "
+        f"Made anew by: {command}",
+        "Each contender has the same CPU time in each cell, in independent batches; seeds are 1, 2, … for contenders and "
+        "1001, 1002, … for the rivals they are tested against. The verdicts are formed from the figures below them.",
+    ]
+    markdown = [f"# {title}", ""]
+    for section in sections:
+        markdown += [f"## {section.title}", "", *(text + "\n" for text in section.paragraphs)]
+        for item in section.content:
+            if isinstance(item, Image):
+                _save(out / "figures" / f"{item.name}.{item.suffix}", item.data)
+            else:
+                markdown.append(tables.to_markdown(item))
+                _save(out / "tables" / f"{item.name}.csv", tables.to_csv(item).encode())
+    _save(out / TABLES, "\n".join(markdown).encode())
+    whole = [Section(SUMMARY, [], [summary]), *sections]
+    _save(out / REPORT, page(title, introduction, whole).encode())
+
+
+def _save(path: Path, data: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, lambda file: file.write_bytes(data))
+
+
+def main(arguments: Sequence[str]) -> int:
+    """`python -m causticmpi.stability PAGE… [--out DIR] [--scale S] [-j N]`; 1 if a cell is wrong, 2 for bad input."""
+    import argparse
+    import shlex
+
+    parser = argparse.ArgumentParser(prog="scripts/stability", description="Where methods fail: one page per question.")
+    parser.add_argument("pages", nargs="+", type=Path, metavar="PAGE", help="page (YAML), see configs/stability")
+    parser.add_argument("--out", type=Path, default=Path("out/stability"), help="output directory")
+    parser.add_argument("--scale", type=float, default=1.0, help="factor of all CPU times, runs and samples")
+    parser.add_argument("-j", dest="processes", type=int, default=2, help="processes")
+    given = parser.parse_args(arguments)
+    command = shlex.join(["scripts/stability", *arguments])
+    try:
+        return 1 if make_report(given.pages, given.out, given.scale, given.processes, command) else 0
+    except InputError as error:
+        print(f"stability: {error}", file=sys.stderr)
+        return 2

@@ -1,0 +1,152 @@
+"""Tables and charts of a page."""
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from causticmpi.compare.charts import PALETTE
+from causticmpi.compare.tables import NOTHING, Table, number
+from causticmpi.output.png import srgb_bytes
+from causticmpi.stability.judge import Row
+from causticmpi.stability.records import Page
+from causticmpi.stability.verdicts import shown
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure, SubFigure
+
+LONGEST = 160
+"""Characters of a reason in a table."""
+FAR = 6.0
+"""Standard errors at which the chart of z ends."""
+
+
+def table(name: str, page: Page, rows: Sequence[Row]) -> Table:
+    """All cells of a sweep."""
+    assert page.sweep is not None
+    columns = (
+        page.sweep.name, "method", f"relMSE at {page.equal_time:g} s", "bias² (relative)", "passes", "ms / pass",
+        "rays / sample", "mean L_c", "preprocess [s]", "slowest / mean pass", "memory [MB]", "worst pixel's share", "tested against",
+        "p", "z of mean", "difference", "resolution", "verdict",
+    )  # fmt: skip
+    return Table(
+        name,
+        f"{page.title}: all cells",
+        columns,
+        tuple(_cells(row) for row in rows),
+        f"relMSE: what {page.equal_time:g} CPU seconds would leave, preprocess included, from the variance over "
+        f"{page.batches} batches; biased methods add their squared bias. p: Welch's t-test of 48 means of squares of the "
+        "film, Sidak-corrected; resolution: standard error of the difference of the pictures' means. Blind: a path "
+        "tracer that would have met the light too rarely for its error or its mean to be believed.",
+    )
+
+
+def _cells(row: Row) -> tuple[str, ...]:
+    name = row.label + (" (biased)" if row.biased else "")
+    relmse = "∞" if row.relmse == math.inf else number(row.relmse)
+    return (
+        shown(row.value), name, relmse, number(row.bias, 2), str(row.passes or NOTHING),
+        number(1e3 * row.pass_seconds), number(row.rays), number(row.caustic), number(row.preprocess, 2), number(row.slowest, 2),
+        number(row.memory_mb), _percent(row.share), row.against or NOTHING, number(row.p, 2),
+        f"{row.whole:+.2f}" if math.isfinite(row.whole) else NOTHING, _percent(row.difference, "+"),
+        _percent(row.resolution), row.verdict[:LONGEST],
+    )  # fmt: skip
+
+
+def _percent(value: float, sign: str = "") -> str:
+    return f"{100 * value:{sign}.2g} %" if math.isfinite(value) else NOTHING
+
+
+def chart(page: Page, rows: Sequence[Row]) -> "Figure":
+    """Error at equal time and z of the picture's mean against the parameter, a strip of pictures below."""
+    from matplotlib.figure import Figure
+
+    assert page.sweep is not None
+    values = page.sweep.values
+    figure = Figure(figsize=(12, 6.6), layout="constrained")
+    upper, lower = figure.subfigures(2, 1, height_ratios=(3, 1.25))
+    error, deviation = upper.subplots(1, 2)
+    by_number = all(math.isfinite(row.x) and row.x > 0 for row in rows)
+    place = {shown(row.value): row.x if by_number else float(_index(values, row)) for row in rows}
+    for panel in (error, deviation):
+        _axis(panel, page, place, by_number)
+    for i, contender in enumerate(page.contenders):
+        own = sorted((row for row in rows if row.label == contender.label), key=lambda row: place[shown(row.value)])
+        _curves(error, deviation, own, place, PALETTE[i % len(PALETTE)])
+    error.set(yscale="log", title=f"relMSE after {page.equal_time:g} CPU seconds", ylabel="relMSE")
+    title = "deviation of the picture's mean from the truth" if page.truth.exact != 0 else "leaked radiance"
+    deviation.axhspan(-3, 3, color="#eeeeee", zorder=0)
+    deviation.set(ylim=(-FAR - 0.5, FAR + 0.5), title=title, ylabel="standard errors (clipped)")
+    handles, labels = error.get_legend_handles_labels()
+    if handles:
+        error.legend(handles, labels, fontsize=8, framealpha=0.85, edgecolor="none")
+    _strip(lower, page, rows)
+    return figure
+
+
+def _index(values: Sequence[object], row: Row) -> int:
+    return list(values).index(row.value)
+
+
+def _axis(panel: "Axes", page: Page, place: dict[str, float], by_number: bool) -> None:
+    assert page.sweep is not None
+    panel.set_xlabel(page.sweep.name)
+    if by_number and max(place.values()) > 8 * min(place.values()):
+        panel.set_xscale("log")
+    if not by_number:
+        turned = sum(map(len, place)) > 40
+        panel.set_xticks(
+            list(place.values()), list(place), rotation=30 if turned else 0, ha="right" if turned else "center"
+        )
+    start = None if page.sweep.start is None else place.get(shown(page.sweep.start))
+    if start is not None:
+        panel.axvline(start, color="#999999", linestyle=":", linewidth=1.5)
+        panel.annotate(
+            "default", (start, 0.02), xycoords=("data", "axes fraction"), rotation=90, fontsize=8, color="#777777"
+        )
+    panel.grid(True, which="major", color="#dddddd", linewidth=0.8)
+    panel.set_axisbelow(True)
+
+
+def _curves(error: "Axes", deviation: "Axes", rows: Sequence[Row], place: dict[str, float], colour: str) -> None:
+    known = [row for row in rows if math.isfinite(row.relmse) and row.relmse > 0]
+    if not rows:
+        return
+    label = rows[0].label + (" (biased)" if any(row.biased for row in rows) else "")
+    if known:
+        x = [place[shown(row.value)] for row in known]
+        error.plot(x, [row.relmse for row in known], "-", color=colour, linewidth=1.6, alpha=0.8)
+        for trusted in (True, False):
+            some = [row for row in known if row.trusted == trusted]
+            face = colour if trusted else "none"
+            name = label if trusted else f"{label}: light met too rarely to be judged"
+            error.plot(
+                [place[shown(row.value)] for row in some], [row.relmse for row in some], "o", color=colour,
+                markerfacecolor=face, label=name if some else None,
+            )  # fmt: skip
+    for row in rows:
+        at = place[shown(row.value)]
+        if row.tested and math.isfinite(row.whole):
+            wrong = row.verdict == "WRONG" or row.verdict.startswith("leaks")
+            marker = "X" if wrong else "o"
+            deviation.plot(at, float(np.clip(row.whole, -FAR, FAR)), marker, color=colour, markersize=9 if wrong else 5)
+        else:
+            deviation.plot(at, -FAR, "|", color=colour, markersize=9)
+
+
+def _strip(figure: "SubFigure", page: Page, rows: Sequence[Row]) -> None:
+    """The last contender's picture at each value; a cell without a picture says why."""
+    assert page.sweep is not None
+    last = page.contenders[-1].label
+    own = [row for row in rows if row.label == last]
+    cells = figure.subplots(1, len(own), squeeze=False)[0]
+    for cell, row in zip(cells, own, strict=True):
+        cell.set(xticks=[], yticks=[])
+        cell.set_title(shown(row.value), fontsize=9)
+        if row.rgb is None:
+            cell.text(0.5, 0.5, row.verdict.partition(":")[0], ha="center", va="center", fontsize=8, wrap=True)
+        else:
+            cell.imshow(srgb_bytes(row.rgb), interpolation="nearest")
+    cells[0].set_ylabel(last, fontsize=8)

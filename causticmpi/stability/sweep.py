@@ -1,0 +1,159 @@
+"""A page's cells: one parameter over values, all contenders at each, and the rivals they are held against."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from causticmpi.errors import InputError
+from causticmpi.scene.load import load_scene
+from causticmpi.stability.cell import Measured, config_for, measure, set_up
+from causticmpi.stability.judge import Row, judge, refused, seen_caustic
+from causticmpi.stability.lies import LIES
+from causticmpi.stability.records import Contender, Page, Sweep, Value
+from causticmpi.stability.scenes import build, write_scene
+
+RIVAL_SECONDS, COMMON_RIVAL_SECONDS = 2.0, 8.0
+"""A rival gets this many times the CPU time of a contender, more where it serves all cells of a page."""
+SEED, RIVAL_SEED = 1, 1001
+
+
+@dataclass(frozen=True)
+class Point:
+    """What was measured at one value. failed: reason by contender; refusal: of the scene, empty if it was taken."""
+
+    index: int
+    found: list[Measured]
+    rivals: list[Measured]
+    failed: dict[str, str]
+    refusal: str = ""
+
+
+def rivals_are_common(page: Page) -> bool:
+    """Whether the scene is one for all values, so that the rivals need to be measured once."""
+    return page.sweep is not None and not page.sweep.parameter.startswith("scene.")
+
+
+def measure_point(page: Page, place: Path, out: Path, index: int, scale: float) -> Point:
+    """One value of the sweep, rivals included where the scene changes. scale: of all CPU times.
+
+    place: directory of the page; out: for scenes. A refused scene, or a method that gives up, is told in the point.
+    """
+    try:
+        file = scene_file(page, place, out, index)
+        load_scene(file)
+    except InputError as error:
+        return Point(index, [], [], {}, str(error))
+    assert page.sweep is not None
+    value = page.sweep.values[index]
+    lie = str(value) if page.sweep.parameter == "photons" else "none"
+    found, failed = [], {}
+    for i, contender in enumerate(page.contenders):
+        settings = {**page.set, **_config_value(page.sweep, value), **contender.set}
+        try:
+            found.append(_one(page, contender.label, file, settings, SEED + i, page.seconds * scale, lie))
+        except (InputError, ValueError, RuntimeError) as error:
+            failed[contender.label] = str(error)
+    return Point(index, found, [] if rivals_are_common(page) else _rivals(page, file, RIVAL_SECONDS, scale), failed)
+
+
+def measure_rivals(page: Page, place: Path, out: Path, scale: float) -> list[Measured]:
+    """The rivals of all cells of a page whose scene is one for all values."""
+    return _rivals(page, scene_file(page, place, out, 0), COMMON_RIVAL_SECONDS, scale)
+
+
+def _rivals(page: Page, file: Path, factor: float, scale: float) -> list[Measured]:
+    return [
+        _one(page, rival.label, file, {**page.set, **rival.set}, RIVAL_SEED + i, factor * page.seconds * scale)
+        for i, rival in enumerate(page.truth.rivals)
+    ]
+
+
+def _one(
+    page: Page, label: str, file: Path, settings: Mapping[str, Any], seed: int, seconds: float, lie: str = "none"
+) -> Measured:
+    bench = set_up(file, config_for(page.side, seed, settings), lie)
+    try:
+        return measure(bench, label, seconds, page.batches)
+    finally:
+        bench.close()
+
+
+def all_rows(page: Page, points: Sequence[Point], rivals: Sequence[Measured]) -> list[Row]:
+    """The judged rows of all values. rivals: those that all cells share."""
+    seen = [seen_caustic([*point.found, *point.rivals, *rivals]) for point in points]
+    if page.constant_caustics:
+        seen = [float(np.median([caustic for caustic in seen if caustic > 0] or [0.0]))] * len(points)
+    return [row for point, caustic in zip(points, seen, strict=True) for row in _rows(page, point, rivals, caustic)]
+
+
+def _rows(page: Page, point: Point, rivals: Sequence[Measured], caustic: float) -> list[Row]:
+    assert page.sweep is not None
+    value = page.sweep.values[point.index]
+    if point.refusal:
+        return [refused(value, position(value), c.label, f"refused: {point.refusal}") for c in page.contenders]
+    x = position(value)
+    if value == "auto" and point.found:
+        x = {"iws.bound": point.found[0].bound, "forecast.radius": point.found[0].radius}.get(page.sweep.parameter, x)
+    rows = judge(page, value, x, point.found, point.rivals or rivals, caustic) if point.found else []
+    rows += [refused(value, x, label, f"refused: {why}") for label, why in point.failed.items()]
+    order = [c.label for c in page.contenders]
+    return sorted(rows, key=lambda row: order.index(row.label))
+
+
+def scene_file(page: Page, place: Path, out: Path, index: int) -> Path:
+    """The scene of one cell, written for this value where it comes from a template."""
+    if page.room.template is None:
+        assert page.room.file is not None
+        return place / page.room.file
+    parameters = dict(page.room.set)
+    if page.sweep is not None and page.sweep.parameter.startswith("scene."):
+        parameters[page.sweep.parameter.removeprefix("scene.")] = page.sweep.values[index]
+    return write_scene(build(page.room.template, parameters), out / "scenes" / f"{index}.yaml")
+
+
+def check_page(page: Page, place: Path) -> None:
+    """Raises InputError for a page that could not be run: scene, parameter, settings of every contender."""
+    if (page.room.template is None) == (page.room.file is None):
+        raise InputError("room: found both or neither of template and file; allowed: one of them")
+    if page.room.file is not None and not (place / page.room.file).is_file():
+        raise InputError(f"room.file: found {page.room.file}, which does not exist; allowed: a scene file")
+    if (page.sweep is None) != (page.kind != "sweep"):
+        raise InputError(f"sweep: a page of kind {page.kind} {'needs' if page.sweep is None else 'has no'} sweep")
+    labels = [c.label for c in page.contenders]
+    if page.baseline is not None and page.baseline not in labels:
+        raise InputError(f'baseline: found "{page.baseline}"; allowed: {", ".join(labels)}')
+    for index, value in enumerate(page.sweep.values if page.sweep else [0.0]):
+        if page.sweep and page.sweep.parameter == "photons" and value not in LIES:
+            raise InputError(f'sweep.values: found "{value}"; allowed: {", ".join(LIES)}')
+        if page.room.template is not None:
+            parameters = dict(page.room.set)
+            if page.sweep and page.sweep.parameter.startswith("scene."):
+                parameters[page.sweep.parameter.removeprefix("scene.")] = page.sweep.values[index]
+            build(page.room.template, parameters)
+        for contender in (*page.contenders, *page.truth.rivals):
+            settings = {**page.set, **_config_value(page.sweep, value), **contender.set}
+            try:
+                config_for(page.side, 1, settings)
+            except msgspec.ValidationError as error:
+                raise InputError(
+                    f"{contender.label}, {page.sweep and page.sweep.parameter} = {value}: {error}"
+                ) from None
+
+
+def _config_value(sweep: Sweep | None, value: Value) -> dict[str, Any]:
+    if sweep is None or sweep.parameter == "photons" or sweep.parameter.startswith("scene."):
+        return {}
+    # YAML reads 10 as an integer and 1e5 as a float; a count stays one.
+    return {sweep.parameter: int(value) if isinstance(value, float) and value.is_integer() else value}
+
+
+def position(value: Value) -> float:
+    """Where a value stands on the chart's axis: bins of a table by their number; nan for words."""
+    if isinstance(value, list):
+        return float(math.prod(value))
+    return math.nan if isinstance(value, str) else float(value)
