@@ -149,8 +149,8 @@ def _row(
         value=value, x=x, label=m.label, biased=m.biased, relmse=relmse + max(0.0, bias if m.biased else 0.0),
         share=float(own.max() / max(own.sum(), 1e-300)), bias=bias, p=p, z=z, whole=whole, difference=difference,
         resolution=resolution, passes=m.passes, pass_seconds=m.pass_seconds, preprocess=m.preprocess,
-        rays=m.rays / m.samples, slowest=m.slowest, memory_mb=m.memory_mb, caustic=m.caustic, verdict=verdict, against=against,
-        rgb=m.rgb.astype(np.float32),
+        rays=m.rays / m.samples, slowest=m.slowest, memory_mb=m.memory_mb, caustic=m.caustic, verdict=verdict,
+        against=against, rgb=m.rgb.astype(np.float32),
     )  # fmt: skip
 
 

@@ -53,14 +53,16 @@ class Truth(Record):
 
 
 class Page(Record):
-    """A page. kind: `sweep` of a parameter, `long` runs of one pixel, `coverage` of stated intervals, `until` stops.
+    """A page.
 
+    kind: `sweep` of a parameter, `long` runs of one pixel, `coverage` of stated intervals, `until` stops.
     reads: how the verdict is formed: `rivals` compares methods along the sweep, `setting` finds the best value,
-    `exact` names the values at which the known answer is missed, `floor` the bias of biased methods, `bounded` what paths
-    cost, `lies` what wrong forecasts do.
+    `exact` names the values at which the known answer is missed, `floor` the bias of biased methods, `bounded` what
+    paths cost, `lies` what wrong forecasts do.
     side: pixels of the square film; seconds: CPU time of each contender in each cell; batches: independent parts of it;
     equal_time: CPU seconds at which errors are compared, preprocess included; baseline: label of the contender whom
-    others should beat; constant_caustics: L_c has the same mean all along the sweep, so that less means missed; runs, passes: of `coverage` and `until`; samples: of `long`.
+    others should beat; constant_caustics: L_c has the same mean all along the sweep, so that less means missed;
+    runs, passes: of `coverage` and `until`; samples: of `long`.
     """
 
     title: str

@@ -109,8 +109,8 @@ def _write(out: Path, sections: Sequence[Section], scale: float, processes: int,
     introduction = [
         f"causticmpi {__version__}, {processes} processes, {clock(seconds)}, CPU times times {scale:g}. "
         f"Made anew by: {command}",
-        "Each contender has the same CPU time in each cell, in independent batches; seeds are 1, 2, … for contenders and "
-        "1001, 1002, … for the rivals they are tested against. The verdicts are formed from the figures below them.",
+        "Each contender has the same CPU time in each cell, in independent batches; seeds are 1, 2, … for contenders "
+        "and 1001, 1002, … for the rivals they are tested against. The verdicts are formed from the figures below them.",
     ]
     markdown = [f"# {title}", ""]
     for section in sections:

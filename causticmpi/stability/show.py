@@ -28,8 +28,8 @@ def table(name: str, page: Page, rows: Sequence[Row]) -> Table:
     assert page.sweep is not None
     columns = (
         page.sweep.name, "method", f"relMSE at {page.equal_time:g} s", "bias² (relative)", "passes", "ms / pass",
-        "rays / sample", "mean L_c", "preprocess [s]", "slowest / mean pass", "memory [MB]", "worst pixel's share", "tested against",
-        "p", "z of mean", "difference", "resolution", "verdict",
+        "rays / sample", "mean L_c", "preprocess [s]", "slowest / mean pass", "memory [MB]", "worst pixel's share",
+        "tested against", "p", "z of mean", "difference", "resolution", "verdict",
     )  # fmt: skip
     return Table(
         name,
@@ -37,8 +37,8 @@ def table(name: str, page: Page, rows: Sequence[Row]) -> Table:
         columns,
         tuple(_cells(row) for row in rows),
         f"relMSE: what {page.equal_time:g} CPU seconds would leave, preprocess included, from the variance over "
-        f"{page.batches} batches; biased methods add their squared bias. p: Welch's t-test of 48 means of squares of the "
-        "film, Sidak-corrected; resolution: standard error of the difference of the pictures' means. Blind: a path "
+        f"{page.batches} batches; biased methods add their squared bias. p: Welch's t-test of 48 means of squares of "
+        "the film, Sidak-corrected; resolution: standard error of the difference of the pictures' means. Blind: a path "
         "tracer that would have met the light too rarely for its error or its mean to be believed.",
     )
 
@@ -48,8 +48,8 @@ def _cells(row: Row) -> tuple[str, ...]:
     relmse = "∞" if row.relmse == math.inf else number(row.relmse)
     return (
         shown(row.value), name, relmse, number(row.bias, 2), str(row.passes or NOTHING),
-        number(1e3 * row.pass_seconds), number(row.rays), number(row.caustic), number(row.preprocess, 2), number(row.slowest, 2),
-        number(row.memory_mb), _percent(row.share), row.against or NOTHING, number(row.p, 2),
+        number(1e3 * row.pass_seconds), number(row.rays), number(row.caustic), number(row.preprocess, 2),
+        number(row.slowest, 2), number(row.memory_mb), _percent(row.share), row.against or NOTHING, number(row.p, 2),
         f"{row.whole:+.2f}" if math.isfinite(row.whole) else NOTHING, _percent(row.difference, "+"),
         _percent(row.resolution), row.verdict[:LONGEST],
     )  # fmt: skip
@@ -66,7 +66,8 @@ def chart(page: Page, rows: Sequence[Row]) -> "Figure":
     assert page.sweep is not None
     values = page.sweep.values
     figure = Figure(figsize=(12, 6.6), layout="constrained")
-    upper, lower = figure.subfigures(2, 1, height_ratios=(3, 1.25))
+    grid = figure.subfigures(2, 1, height_ratios=(3, 1.25), squeeze=False)
+    upper, lower = grid[:, 0]
     error, deviation = upper.subplots(1, 2)
     by_number = all(math.isfinite(row.x) and row.x > 0 for row in rows)
     place = {shown(row.value): row.x if by_number else float(_index(values, row)) for row in rows}

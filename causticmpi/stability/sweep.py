@@ -14,7 +14,7 @@ from causticmpi.scene.load import load_scene
 from causticmpi.stability.cell import Measured, config_for, measure, set_up
 from causticmpi.stability.judge import Row, judge, refused, seen_caustic
 from causticmpi.stability.lies import LIES
-from causticmpi.stability.records import Contender, Page, Sweep, Value
+from causticmpi.stability.records import Page, Sweep, Value
 from causticmpi.stability.scenes import build, write_scene
 
 RIVAL_SECONDS, COMMON_RIVAL_SECONDS = 2.0, 8.0
