@@ -14,7 +14,7 @@ from causticmpi.compare.statistics import block_means
 from causticmpi.config.records import RenderConfig
 from causticmpi.distributed.clock import Stopwatch
 from causticmpi.distributed.prepare import PreparedScene, prepare_forecast, share_maps, share_scene
-from causticmpi.distributed.result import peak_memory_mb
+from causticmpi.distributed.usage import peak_memory_mb
 from causticmpi.distributed.warmup import warm_up
 from causticmpi.distributed.world import SerialWorld
 from causticmpi.kernels.embree import ray_buffer

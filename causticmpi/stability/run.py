@@ -18,7 +18,7 @@ from causticmpi.config.yaml_source import read_yaml
 from causticmpi.errors import InputError
 from causticmpi.output.directory import write_whole
 from causticmpi.output.progress import clock
-from causticmpi.stability import show, sweep, verdicts
+from causticmpi.stability import runs, show, show_runs, sweep, verdicts
 from causticmpi.stability.records import Page
 
 REPORT, TABLES = "report.html", "tables.md"
@@ -75,7 +75,9 @@ def make_report(files: Sequence[Path], out: Path, scale: float, processes: int, 
 def _submit(submit: Callable[..., Future[Any]], loaded: Loaded, out: Path, scale: float) -> dict[str, Future[Any]]:
     """Start a page's tasks; their results are what `_section` takes."""
     made = loaded.page
-    assert made.sweep is not None
+    if made.sweep is None:
+        file = sweep.scene_file(made, loaded.place, out, 0)
+        return {c.label: submit(runs.RUNS[made.kind], made, c, file, scale) for c in made.contenders}
     tasks = {
         f"{i}": submit(sweep.measure_point, made, loaded.place, out, i, scale) for i in range(len(made.sweep.values))
     }
@@ -86,19 +88,22 @@ def _submit(submit: Callable[..., Future[Any]], loaded: Loaded, out: Path, scale
 
 def _section(loaded: Loaded, results: dict[str, Any]) -> tuple[Section, int]:
     """The section of a page, and how many of its cells are wrong."""
-    made = loaded.page
+    made, name = loaded.page, loaded.name
+    if made.sweep is None:
+        found = list(results.values())
+        image = Image(name, charts.as_png(show_runs.chart(made, found)), made.title)
+        content: list[Table | Image] = [image, show_runs.table(name, made, found)]
+        return Section(made.title, [made.question, runs.verdict(found)], content), 0
     rivals = results.pop("rivals", [])
     rows = sweep.all_rows(made, list(results.values()), rivals)
     failing = verdicts.failures(rows)
     wrong = [row for row in rows if row.verdict == "WRONG"]
     paragraphs = [made.question, verdicts.verdict(made, rows)]
     paragraphs += ["Cells that fail: " + "; ".join(failing) + "."] if failing else []
-    caption = (
-        f"{made.title}. Below: pictures of {made.contenders[-1].label} by {made.sweep.name if made.sweep else ''}."
-    )
-    image = Image(loaded.name, charts.as_png(show.chart(made, rows)), caption)
+    caption = f"{made.title}. Below: pictures of {made.contenders[-1].label} by {made.sweep.name}."
+    image = Image(name, charts.as_png(show.chart(made, rows)), caption)
     alarm = f"{len(wrong)} cells are wrong." if wrong else ""
-    return Section(made.title, paragraphs, [image, show.table(loaded.name, made, rows)], alarm), len(wrong)
+    return Section(made.title, paragraphs, [image, show.table(name, made, rows)], alarm), len(wrong)
 
 
 def _write(out: Path, sections: Sequence[Section], scale: float, processes: int, seconds: float, command: str) -> None:
@@ -110,7 +115,7 @@ def _write(out: Path, sections: Sequence[Section], scale: float, processes: int,
         f"causticmpi {__version__}, {processes} processes, {clock(seconds)}, CPU times times {scale:g}. "
         f"Made anew by: {command}",
         "Each contender has the same CPU time in each cell, in independent batches; seeds are 1, 2, … for contenders "
-        "and 1001, 1002, … for the rivals they are tested against. The verdicts are formed from the figures below them.",
+        "and 1001, 1002, … for the rivals they are tested against. Verdicts are formed from the figures below them.",
     ]
     markdown = [f"# {title}", ""]
     for section in sections:

@@ -1,0 +1,83 @@
+"""Stopping at a wanted error without bending the picture: each half of the passes is stopped by the other half.
+
+To stop when the picture looks good prefers pictures that lack a rare bright path: they look good, and are too dark.
+Here the passes form two halves, and the half that a pass belongs to depends on its number alone. Half A says from its
+own variance when the picture would be good enough, and that ends half B; half B ends half A. Given when it ends, which
+it has no say in, each half is a plain mean, so both are unbiased, and so is their mean in equal shares. Mostly both end
+at once, and nothing is wasted; where they do not, the half that has ended goes on only to decide for the other.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from causticmpi.output.picture import estimated_relmse
+from causticmpi.render.film import resolve
+
+FIRST = 8
+"""Passes of a half before it is asked for the first time: fewer tell nothing of a variance."""
+STEP = 2.0**0.25
+"""Ratio of passes from one question to the next: a picture is better than wanted by up to this factor."""
+
+Part = tuple[np.ndarray, int]
+"""Sums over passes (see render.film), and their number."""
+
+
+class Until:
+    """When to stop. Questions and halves depend on the number of passes alone: the same on every rank.
+
+    target: relMSE of the whole picture, as `estimated_relmse` has it.
+    """
+
+    def __init__(self, target: float) -> None:
+        self.target = target
+        self._borders = [0, FIRST]  # passes of each half at the questions
+        self._ended: list[Part | None] = [None, None]
+
+    def half(self, passes: int) -> int:
+        """The half, 0 or 1, that the pass with this number belongs to."""
+        before, after = self._around(passes)
+        return int(passes >= before + after)
+
+    def to_border(self, passes: int) -> int:
+        """Passes from this one to the end of its half of the block: a round may not be longer."""
+        before, after = self._around(passes)
+        return (before + after if passes < before + after else 2 * after) - passes
+
+    def _around(self, passes: int) -> tuple[int, int]:
+        """Passes of each half at the last question and at the next one."""
+        while 2 * self._borders[-1] <= passes:
+            self._borders.append(max(round(STEP * self._borders[-1]), self._borders[-1] + 1))
+        after = next(border for border in self._borders if 2 * border > passes)
+        return self._borders[self._borders.index(after) - 1], after
+
+    def asks(self, passes: int) -> bool:
+        """Whether the halves are asked after this many passes."""
+        return passes > 0 and 2 * self._around(passes)[0] == passes
+
+    def decide(self, whole: np.ndarray, second: np.ndarray, passes: int) -> bool:
+        """Ask both halves; True if the run is over. whole, second: sums of all passes and of the second half."""
+        each = passes // 2
+        halves = (whole - second, second)
+        for asked, other in ((0, 1), (1, 0)):
+            if self._ended[other] is None and self._error(halves[asked], each) <= self.target:
+                self._ended[other] = (halves[other].copy(), each)
+        return None not in self._ended
+
+    def _error(self, sums: np.ndarray, passes: int) -> float:
+        """relMSE of a picture of twice as many passes, by this half of them."""
+        diffusive, caustic, variance = resolve(sums, passes)
+        return estimated_relmse(diffusive + caustic, variance) / 2
+
+    def parts(self, whole: np.ndarray, second: np.ndarray, passes: int) -> Sequence[Part]:
+        """What the picture is the plain mean of: all passes at once, or two halves that ended apart.
+
+        passes: of the run; whatever ended it, a half that has not ended has all of its passes.
+        """
+        first, last = self._ended
+        if (first is None and last is None) or (first is not None and last is not None and first[1] == last[1]):
+            if first is None or last is None:
+                return [(whole, passes)]
+            return [(first[0] + last[0], first[1] + last[1])]
+        in_second = sum(self.half(i) for i in range(passes))
+        return [first or (whole - second, passes - in_second), last or (second.copy(), in_second)]

@@ -1,0 +1,127 @@
+"""Tables and charts of pages about whole runs."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from causticmpi.compare.charts import PALETTE
+from causticmpi.compare.tables import Table, number
+from causticmpi.stability.records import Page
+from causticmpi.stability.runs import TRUE_WITHIN, Coverage, Long, Result, Stops
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+def table(name: str, page: Page, results: Sequence[Result]) -> Table:
+    """One row for each contender."""
+    rows: list[tuple[str, ...]] = []
+    columns: tuple[str, ...] = ()
+    note = ""
+    for found in results:
+        if isinstance(found, Coverage):
+            columns = (
+                "method", "runs", "passes", "expected relMSE", "known to", "mean estimate / expected",
+                f"estimates within {TRUE_WITHIN}", "intervals that hold it", "median factor",
+                f"pictures' own errors within {TRUE_WITHIN} of their estimate",
+            )  # fmt: skip
+            note = (
+                "Expected: mean squared error of the runs' pictures, each against the mean of all the others. The "
+                "interval of a run is [estimate / factor, estimate x factor], from groups of its passes."
+            )
+            own = np.abs(np.log(found.estimated / np.maximum(found.actual, 1e-300))) <= np.log(TRUE_WITHIN)
+            rows.append((
+                found.label, str(len(found.estimated)), str(found.passes), number(found.expected),
+                f"{100 * found.uncertainty:.1f} %", number(float(found.estimated.mean() / found.expected)),
+                f"{100 * found.within:.0f} %", f"{100 * found.covered:.0f} %", number(float(np.median(found.factor))),
+                f"{100 * own.mean():.0f} %",
+            ))  # fmt: skip
+        elif isinstance(found, Stops):
+            columns = (
+                "method", "runs", "wanted relMSE", "mean error / wanted", "within the wanted", "passes",
+                "difference of the mean", "z", "by their own error: passes", "difference", "z ",
+            )  # fmt: skip
+            note = (
+                "Difference: of the mean of all pictures from a longer run, weighted as relMSE is. By their own error: "
+                "the same passes, stopped as soon as all of them together seem good enough, which prefers pictures "
+                "that lack rare bright paths."
+            )
+            ratio = found.actual / found.target
+            rows.append((
+                found.label, str(len(ratio)), number(found.target), number(float(ratio.mean())),
+                f"{100 * (ratio <= 1).mean():.0f} %", f"{found.passes.min():.0f} to {found.passes.max():.0f}",
+                f"{100 * found.difference:+.2f} %", f"{found.z:+.2f}",
+                f"{found.naive_passes.min():.0f} to {found.naive_passes.max():.0f}",
+                f"{100 * found.naive_difference:+.2f} %", f"{found.naive_z:+.2f}",
+            ))  # fmt: skip
+        else:
+            columns = ("method", "samples", "drift of the sum", "of a float32 sum", "z of the halves", "largest sample")
+            note = "Drift: the film's sum against the exactly rounded sum of all samples, relative."
+            rows.append((
+                found.label, f"{found.samples:,}", f"{found.drift:.1e}", f"{found.float32:.1e}", f"{found.z:+.2f}",
+                f"{100 * found.share:.3g} % of the pixel",
+            ))  # fmt: skip
+    return Table(name, f"{page.title}: all methods", columns, tuple(rows), note)
+
+
+def chart(page: Page, results: Sequence[Result]) -> "Figure":
+    """What the runs did."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12, 4.2), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    for i, found in enumerate(results):
+        colour = PALETTE[i % len(PALETTE)]
+        if isinstance(found, Coverage):
+            _coverage(left, right, found, colour, i)
+        elif isinstance(found, Stops):
+            _stops(left, right, found, colour)
+        else:
+            _long(left, right, found, colour)
+    for panel in (left, right):
+        panel.grid(True, which="major", color="#dddddd", linewidth=0.8)
+        panel.set_axisbelow(True)
+        panel.legend(fontsize=8, framealpha=0.85, edgecolor="none")
+    return figure
+
+
+def _coverage(left: "Axes", right: "Axes", found: Coverage, colour: str, index: int) -> None:
+    ratio = found.estimated / found.expected
+    order = np.argsort(ratio)
+    x = np.arange(len(ratio)) + 0.2 * index
+    ratio, factor = ratio[order], found.factor[order]
+    left.vlines(x, ratio / factor, ratio * factor, color=colour, linewidth=1, alpha=0.5)
+    left.plot(x, ratio, "o", color=colour, markersize=3.5, label=found.label)
+    left.axhline(1, color="#555555", linewidth=1)
+    left.axhspan(1 / TRUE_WITHIN, TRUE_WITHIN, color="#eeeeee", zorder=0)
+    left.set(yscale="log", title="estimated over true relMSE, with its interval", xlabel="runs, by estimate")
+    right.plot(found.estimated, np.maximum(found.actual, 1e-300), "o", color=colour, markersize=4, label=found.label)
+    right.set(xscale="log", yscale="log", xlabel="estimated relMSE", ylabel="squared error of the run's own picture")
+    low, high = found.estimated.min() / 1.5, found.estimated.max() * 1.5
+    right.plot([low, high], [low, high], color="#999999", linewidth=1)
+
+
+def _stops(left: "Axes", right: "Axes", found: Stops, colour: str) -> None:
+    left.plot(found.passes, found.actual / found.target, "o", color=colour, markersize=4, label=found.label)
+    left.axhline(1, color="#555555", linewidth=1)
+    left.set(
+        yscale="log", xscale="log", title="error where runs stopped", xlabel="passes", ylabel="error over wanted error"
+    )
+    x = [f"{found.label},\nhalves stop\neach other", f"{found.label},\nown error"]
+    half = abs(found.difference / found.z), abs(found.naive_difference / found.naive_z)
+    right.errorbar(
+        x, [100 * found.difference, 100 * found.naive_difference], [200 * h for h in half], fmt="o", color=colour,
+        capsize=4, label=found.label,
+    )  # fmt: skip
+    right.axhline(0, color="#555555", linewidth=1)
+    right.set(title="mean of all pictures, off by (2 standard errors)", ylabel="%")
+
+
+def _long(left: "Axes", right: "Axes", found: Long, colour: str) -> None:
+    samples, mean, share = found.curve.T
+    left.plot(samples, mean / mean[-1], color=colour, label=found.label)
+    left.set(xscale="log", title="mean of a pixel, over the last one", xlabel="samples")
+    right.plot(samples, share, color=colour, label=found.label)
+    right.set(xscale="log", yscale="log", title="the largest sample's share of the pixel", xlabel="samples")
