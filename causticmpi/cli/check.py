@@ -17,6 +17,7 @@ PROCESS_MB = 150
 def check(arguments: argparse.Namespace) -> int:
     """Validate all that `render` would read; print what it will need. Raises InputError."""
     from causticmpi.distributed.environment import launcher_rank
+    from causticmpi.render.foresight import of_scene
     from causticmpi.scene.content import has_specular
     from causticmpi.scene.load import load_scene
 
@@ -39,5 +40,7 @@ def check(arguments: argparse.Namespace) -> int:
     print(f"scene    {scene.name}: {triangles} triangles, {spheres} spheres, {scene.dropped_triangles} dropped")
     print(f"picture  {x1 - x0} x {y1 - y0} pixels, method {config.method}, budget {budget}")
     print(f"caustics {'forecast from ' + str(config.forecast.photons) + ' photons' if caustics else 'not forecast'}")
+    for warning in of_scene(config, scene):
+        print(f"warning  {warning}")
     print(f"memory   about {rank_mb:.0f} MB per rank and {node_mb:.0f} MB per node")
     return 0

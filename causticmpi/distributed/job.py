@@ -36,6 +36,7 @@ from causticmpi.output.progress import Progress
 from causticmpi.output.report import provenance
 from causticmpi.render.features import first_hits
 from causticmpi.render.film import Film, quantum_for
+from causticmpi.render.foresight import of_scene
 from causticmpi.render.methods import make_method
 from causticmpi.render.rounds import Batches, divide, equal_round
 from causticmpi.scene.data import SceneData
@@ -175,6 +176,7 @@ class _Run:
         method = make_method(self.config, self.scene.traced, self.camera, self.forecasting.maps, self.scene.extent)
         self.batches = Batches(method, self.pixels, self.film.slots)
         if self.world.is_root:
+            self.forecasting.warnings = (*of_scene(self.config, self.scene.data), *self.forecasting.warnings)
             for warning in self.forecasting.warnings:
                 print(f"causticmpi: warning: {warning}", file=sys.stderr)
             self.maps_hash = maps_hash(self.forecasting.maps)

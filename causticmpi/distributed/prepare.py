@@ -12,8 +12,9 @@ from causticmpi.kernels.embree import EmbreeScene, ray_buffer
 from causticmpi.kernels.traced_scene import TracedScene
 from causticmpi.preprocess.forecast import ClusterStatistics, ForecastMaps, build_forecast, no_forecast
 from causticmpi.preprocess.photons import CausticPoints, shoot_photons
+from causticmpi.render.foresight import of_photons
 from causticmpi.render.methods import FORECASTING
-from causticmpi.scene.content import has_specular
+from causticmpi.scene.content import extent, has_specular
 from causticmpi.scene.data import SceneData
 from causticmpi.scene.tracing import primitive_arrays, traced_scene
 
@@ -44,13 +45,7 @@ def share_scene(world: World, scene: SceneData | None, watertight: bool = False)
     data = SceneData(**fields_of_data, **small)
     derived = {name.removeprefix("derived."): array for name, array in shared.items() if name.startswith("derived.")}
     embree = EmbreeScene(data.vertices, data.triangles, data.spheres, padded=world.size > 1, watertight=watertight)
-    return PreparedScene(data, embree, traced_scene(data, embree, derived), _extent(data), float(data.emission.max()))
-
-
-def _extent(scene: SceneData) -> float:
-    centres, radii = scene.spheres[:, :3].astype(np.float64), scene.spheres[:, 3:].astype(np.float64)
-    points = np.concatenate([scene.vertices.astype(np.float64), centres - radii, centres + radii])
-    return float(np.linalg.norm(np.ptp(points, axis=0)))
+    return PreparedScene(data, embree, traced_scene(data, embree, derived), extent(data), float(data.emission.max()))
 
 
 @dataclass
@@ -92,7 +87,7 @@ def make_forecast(
     with watch.stage("photons"):
         points, made.emitted, made.rays = shoot_photons(scene.traced, ray_buffer(), config.seed, settings.photons)
     made.photons = len(points.power)
-    made.warnings = _warnings(made, settings.photons)
+    made.warnings = of_photons(made.photons, settings.photons, made.emitted)
     if not made.photons:
         return made, points, None
     made.maps, statistics, seconds = build_forecast(
@@ -110,20 +105,6 @@ def make_forecast(
     for stage, spent in seconds.items():
         watch.add(stage, spent)
     return made, points, statistics
-
-
-def _warnings(made: Forecasting, wanted: int) -> tuple[str, ...]:
-    if made.photons == 0:
-        return (
-            f"no photon of {made.emitted} reached a surface by way of a specular one: caustics are sampled by the "
-            "cosine alone; is the specular object lit?",
-        )
-    if made.photons < wanted:
-        return (
-            f"the forecast is starved: {made.photons} of {wanted} caustic points after {made.emitted} particles; "
-            "the picture stays unbiased but caustics will be noisy",
-        )
-    return ()
 
 
 def share_maps(world: World, maps: ForecastMaps | None) -> ForecastMaps:

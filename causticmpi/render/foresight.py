@@ -12,7 +12,7 @@ import numpy as np
 from causticmpi.config.records import RenderConfig
 from causticmpi.preprocess.directions import NARROWEST
 from causticmpi.render.methods import FORECASTING
-from causticmpi.scene.content import has_specular
+from causticmpi.scene.content import extent, has_specular
 from causticmpi.scene.data import MIRROR, PHONG, SceneData
 
 BLIND = 1e-5
@@ -24,7 +24,9 @@ SHARP, SHINY = 1e4, 0.1
 LOSSLESS, LARGE = 0.8, 0.1
 """Reflectance of facing mirrors worth a word; sides of a mirror, over the scene's extent, that count."""
 PARTICLES_PER_PHOTON = 100
+"""Emitted for one caustic point: beyond it hardly any light takes part in caustics."""
 PHOTONS_PER_CLUSTER = 10
+"""Fewer say nothing of where a cluster's light comes from."""
 
 
 def of_scene(config: RenderConfig, scene: SceneData) -> tuple[str, ...]:
@@ -37,34 +39,29 @@ def of_scene(config: RenderConfig, scene: SceneData) -> tuple[str, ...]:
         made.append(
             "forecast.photons is 0: caustics are sampled by the BRDF alone; set forecast.photons, or use method pt"
         )
+    elif specular and config.method in FORECASTING:
+        made += _settings(config)
     return (*made, *_mirrors(scene))
 
 
-def of_forecast(config: RenderConfig, photons: int, emitted: int) -> tuple[str, ...]:
-    """Warnings about the photons that were found, of `emitted` particles."""
-    wanted = config.forecast.photons
+def of_photons(photons: int, wanted: int, emitted: int) -> tuple[str, ...]:
+    """Warnings about the caustic points that were found, of those wanted, by so many emitted particles."""
     if photons == 0:
         return (
             f"no photon of {emitted} reached a surface by way of a specular one: caustics are sampled by the "
             "BRDF alone; is the specular object lit?",
         )
-    made = []
     if photons < wanted:
-        made.append(
+        return (
             f"the forecast is starved: {photons} of {wanted} caustic points after {emitted} particles; the picture "
-            "stays unbiased but caustics will be noisy; bring light and specular objects closer, or use method pt"
+            "stays unbiased but caustics will be noisy; bring light and specular objects closer, or use method pt",
         )
-    elif emitted > PARTICLES_PER_PHOTON * photons:
-        made.append(
+    if emitted > PARTICLES_PER_PHOTON * photons:
+        return (
             f"only one particle in {emitted / photons:.0f} makes a caustic: it is small or faint, and a forecast may "
-            "not pay; compare with method pt"
+            "not pay; compare with method pt",
         )
-    if photons < PHOTONS_PER_CLUSTER * config.forecast.clusters:
-        made.append(
-            f"{photons} photons for {config.forecast.clusters} clusters: each knows next to nothing; "
-            f"set forecast.clusters to {max(1, photons // 50)} or less, or forecast.photons to more"
-        )
-    return tuple(made)
+    return ()
 
 
 def _lights(config: RenderConfig, scene: SceneData) -> Iterator[str]:
@@ -88,6 +85,15 @@ def _lights(config: RenderConfig, scene: SceneData) -> Iterator[str]:
         yield (
             f"{size}: it is nearly a point, narrower than the narrowest cone around a photon, so its caustics will be "
             "noisy; make it larger"
+        )
+
+
+def _settings(config: RenderConfig) -> Iterator[str]:
+    photons, clusters = config.forecast.photons, config.forecast.clusters
+    if photons < PHOTONS_PER_CLUSTER * clusters:
+        yield (
+            f"{photons} photons for {clusters} clusters: each knows next to nothing of its light; "
+            f"set forecast.clusters to {max(1, photons // 50)} or less, or forecast.photons to {50 * clusters} or more"
         )
 
 
@@ -160,10 +166,3 @@ def _connected(triangles: np.ndarray) -> np.ndarray:
     shared = coo_array((np.ones(len(rows)), (rows, vertex))).tocsr()
     labels: np.ndarray = connected_components(shared @ shared.T, directed=False)[1]
     return labels
-
-
-def extent(scene: SceneData) -> float:
-    """Diagonal of the bounding box [units]."""
-    centres, radii = scene.spheres[:, :3].astype(np.float64), scene.spheres[:, 3:].astype(np.float64)
-    points = np.concatenate([scene.vertices.astype(np.float64), centres - radii, centres + radii])
-    return float(np.linalg.norm(np.ptp(points, axis=0)))

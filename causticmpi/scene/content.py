@@ -34,6 +34,13 @@ def with_hash(scene: SceneData) -> SceneData:
     return dataclasses.replace(scene, content_hash=content_hash(scene))
 
 
+def extent(scene: SceneData) -> float:
+    """Diagonal of the bounding box [scene units]."""
+    centres, radii = scene.spheres[:, :3].astype(np.float64), scene.spheres[:, 3:].astype(np.float64)
+    points = np.concatenate([scene.vertices.astype(np.float64), centres - radii, centres + radii])
+    return float(np.linalg.norm(np.ptp(points, axis=0)))
+
+
 def has_specular(scene: SceneData) -> bool:
     """Whether any primitive is a mirror or a dielectric; without one there are no caustics to forecast."""
     return bool((scene.material_kind[scene.primitive_material] >= MIRROR).any())
