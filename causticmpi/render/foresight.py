@@ -18,7 +18,7 @@ from causticmpi.scene.data import MIRROR, PHONG, SceneData
 BLIND = 1e-5
 """Share of the sphere a light fills below which paths that end on it by chance are too rare for a picture."""
 LIGHTS_PER_BIN = 30.0
-"""So many lights beside each other in a bin of the two tables: a sample in the right bin still misses."""
+"""So many lights beside each other in a bin of a table: a sample in the right bin still misses."""
 SHARP, SHINY = 1e4, 0.1
 """Exponent and albedo of a lobe that virtual lights cannot light: all of it is left to compensation."""
 LOSSLESS, LARGE = 0.8, 0.1
@@ -76,7 +76,7 @@ def _lights(config: RenderConfig, scene: SceneData) -> Iterator[str]:
         return
     columns, rows = config.forecast.table
     per_bin = (2 * math.pi / (columns * rows)) / (area / distance**2)
-    if config.forecast.sampling == "two" and per_bin > LIGHTS_PER_BIN:
+    if config.forecast.sampling != "mixture" and per_bin > LIGHTS_PER_BIN:
         yield (
             f"{size}: a bin of forecast.table {columns} x {rows} is {per_bin:.0f} times as wide, so most samples of it "
             "miss; use forecast.sampling: mixture, or a finer table"
