@@ -157,6 +157,23 @@ def test_add_pass_blanks_the_pass_film_and_clear_the_film() -> None:
     assert (film.passes, film.rays, film.nonfinite) == (0, 0, 0) and not film.sums.any()
 
 
+def test_parts_of_passes_are_merged_and_forgotten_like_wholes() -> None:
+    films = passes()[:3]
+    whole, part, total = Film(SLOTS, QUANTUM), Film(SLOTS, QUANTUM), Film(SLOTS, QUANTUM)
+    for one, rows in zip(films, (slice(5, 9), slice(20, 30), slice(8, 12)), strict=True):
+        own = np.zeros_like(one)
+        own[rows] = one[rows]
+        whole.add_pass(own.copy())
+        part.add_pass(own, rows)
+        assert not own.any()
+    assert np.array_equal(part.sums, whole.sums) and part.touched == slice(5, 30)
+    total.merge(part)
+    total.merge(Film(SLOTS, QUANTUM))
+    assert np.array_equal(total.sums, whole.sums) and total.touched == slice(5, 30)
+    part.clear()
+    assert not part.sums.any() and part.touched == slice(0, 0)
+
+
 @pytest.mark.parametrize("brightest", [1e-6, 0.7, 1.0, 15.0, 16.0, 1e9])
 def test_quantum(brightest: float) -> None:
     """A power of two, between 2^-36 and 2^-35 of the brightest light."""

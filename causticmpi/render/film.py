@@ -52,7 +52,8 @@ def _accumulate(pass_film, sums, quantum):
 class Film:
     """Sums of independent passes over the pixels of one window.
 
-    sums (slots, CHANNELS) float64; passes, nonfinite, rays: counts. `quantum` in units of radiance.
+    sums (slots, CHANNELS) float64; passes, nonfinite, rays: counts. `quantum` in units of radiance. touched: the rows
+    outside this slice are 0, so that a rank's small part of a round is quickly merged and forgotten.
     """
 
     slots: int
@@ -61,26 +62,39 @@ class Film:
     nonfinite: int = 0
     rays: int = 0
     sums: np.ndarray = field(init=False)
+    touched: slice = field(default_factory=lambda: slice(0, 0))
 
     def __post_init__(self) -> None:
         self.sums = np.zeros((self.slots, CHANNELS))
 
-    def add_pass(self, pass_film: np.ndarray) -> None:
+    def add_pass(self, pass_film: np.ndarray, rows: slice | None = None) -> None:
         """Add what one pass put on `pass_film` (slots, 6) float32, and blank it. The caller counts passes: several
-        ranks may have shared one."""
-        self.nonfinite += _accumulate(pass_film, self.sums, self.quantum)
+        ranks may have shared one. rows: slots outside are known to be black."""
+        rows = slice(0, self.slots) if rows is None else rows
+        self.nonfinite += _accumulate(pass_film[rows], self.sums[rows], self.quantum)
+        self.touched = hull(self.touched, rows)
 
     def merge(self, other: "Film") -> None:
         """Add another film's sums and counts."""
-        self.sums += other.sums
+        rows = other.touched
+        self.sums[rows] += other.sums[rows]
+        self.touched = hull(self.touched, rows)
         self.passes += other.passes
         self.nonfinite += other.nonfinite
         self.rays += other.rays
 
     def clear(self) -> None:
         """Forget everything."""
-        self.sums[:] = 0
+        self.sums[self.touched] = 0
+        self.touched = slice(0, 0)
         self.passes = self.nonfinite = self.rays = 0
+
+
+def hull(a: slice, b: slice) -> slice:
+    """The shortest slice that holds both."""
+    if a.start == a.stop or b.start == b.stop:
+        return b if a.start == a.stop else a
+    return slice(min(a.start, b.start), max(a.stop, b.stop))
 
 
 def quantum_for(brightest: float) -> float:

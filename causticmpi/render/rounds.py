@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from causticmpi.render.film import Film
+from causticmpi.render.film import Film, hull
 from causticmpi.render.methods import Method
 
 BATCH_SECONDS = 0.25
@@ -69,6 +69,8 @@ class Batches:
         self.method = method
         self.pixels = pixels
         self.pass_film = np.zeros((slots, 6), np.float32)
+        by_tile = pixels[:, 3].reshape(-1, 16)
+        self.low, self.high = np.where(by_tile < 0, slots, by_tile).min(axis=1), by_tile.max(axis=1)
         self.rows = 16 * 64
         self.kernel_seconds = 0.0
         """CPU seconds spent in the method itself, the pilot left out."""
@@ -89,14 +91,17 @@ class Batches:
     def trace(self, shares: Iterable[Share], pending: Film, stop: Callable[[], bool]) -> bool:
         """Trace all shares into `pending`; False, with `pending` to be dropped, if `stop()` came true in between."""
         begun: int | None = None
+        rows = slice(0, 0)
         if self.began is None:
             self.began = time.process_time()
         for share in shares:
             if share.pass_index != begun:
                 if begun is not None:
-                    pending.add_pass(self.pass_film)
+                    pending.add_pass(self.pass_film, rows)
+                rows = slice(0, 0)
                 begun = share.pass_index
                 pending.rays += self._timed(self.method.begin_pass, begun)
+            rows = hull(rows, self._slots_of(share))
             row = share.first
             while row < share.last:
                 end = min(share.last, row + self.rows)
@@ -110,8 +115,12 @@ class Batches:
                 wanted = self.rows * min(4.0, max(0.25, BATCH_SECONDS / seconds))
                 self.rows = min(len(self.pixels), max(16, int(wanted) // 16 * 16))
         if begun is not None:
-            pending.add_pass(self.pass_film)
+            pending.add_pass(self.pass_film, rows)
         return True
+
+    def _slots_of(self, share: Share) -> slice:
+        tiles = slice(share.first // 16, -(-share.last // 16))
+        return slice(int(self.low[tiles].min()), int(self.high[tiles].max()) + 1)
 
     def _timed(self, work: Callable[..., int], *args: object) -> int:
         began = time.process_time()
