@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from causticmpi.render.film import CHANNELS, LOW, Film, quantum_for, resolve
+from causticmpi.render.film import BLOCK, CHANNELS, LOW, Film, quantum_for, resolve
 from causticmpi.render.rounds import FINENESS, Batches, Share, divide, equal_round
 
 SLOTS, PASSES = 40, 64
@@ -158,20 +158,20 @@ def test_add_pass_blanks_the_pass_film_and_clear_the_film() -> None:
 
 
 def test_parts_of_passes_are_merged_and_forgotten_like_wholes() -> None:
-    films = passes()[:3]
-    whole, part, total = Film(SLOTS, QUANTUM), Film(SLOTS, QUANTUM), Film(SLOTS, QUANTUM)
-    for one, rows in zip(films, (slice(5, 9), slice(20, 30), slice(8, 12)), strict=True):
-        own = np.zeros_like(one)
-        own[rows] = one[rows]
-        whole.add_pass(own.copy())
-        part.add_pass(own, rows)
-        assert not own.any()
-    assert np.array_equal(part.sums, whole.sums) and part.touched == slice(5, 30)
+    slots = 5 * BLOCK + 7
+    whole, part, total = Film(slots, QUANTUM), Film(slots, QUANTUM), Film(slots, QUANTUM)
+    for start, stop in ((5, 9), (BLOCK - 1, BLOCK + 1), (slots - 3, slots), (7, 20), (3 * BLOCK, 4 * BLOCK)):
+        one = np.zeros((slots, 6), np.float32)
+        one[start:stop] = 0.1 * start + np.arange(6)
+        whole.add_pass(one.copy())
+        part.add_pass(one, slice(start, stop))
+        assert not one.any()
+    assert np.array_equal(part.sums, whole.sums) and part.touched.tolist() == [True, True, False, True, False, True]
     total.merge(part)
-    total.merge(Film(SLOTS, QUANTUM))
-    assert np.array_equal(total.sums, whole.sums) and total.touched == slice(5, 30)
+    total.merge(Film(slots, QUANTUM))
+    assert np.array_equal(total.sums, whole.sums) and np.array_equal(total.touched, part.touched)
     part.clear()
-    assert not part.sums.any() and part.touched == slice(0, 0)
+    assert not part.sums.any() and not part.touched.any()
 
 
 @pytest.mark.parametrize("brightest", [1e-6, 0.7, 1.0, 15.0, 16.0, 1e9])

@@ -7,6 +7,7 @@ and are kept in two parts, high and low.
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,6 +17,7 @@ from causticmpi.kernels.jit import kernel
 CHANNELS = 12
 """Per pixel: sum of L_d (3), sum of L_c (3), sums of the high (3) and low (3) parts of the squares of their total."""
 QUANTUM_BITS = 36
+BLOCK = 1024
 HIGH, LOW = 2.0**64, 2.0**24
 """Steps of the two parts of a square, in squares of the quantum."""
 
@@ -52,8 +54,9 @@ def _accumulate(pass_film, sums, quantum):
 class Film:
     """Sums of independent passes over the pixels of one window.
 
-    sums (slots, CHANNELS) float64; passes, nonfinite, rays: counts. `quantum` in units of radiance. touched: the rows
-    outside this slice are 0, so that a rank's small part of a round is quickly merged and forgotten.
+    sums (slots, CHANNELS) float64; passes, nonfinite, rays: counts. `quantum` in units of radiance. touched:
+    which blocks of BLOCK rows may be other than 0, so that a rank's small part of a round is quickly merged and
+    forgotten.
     """
 
     slots: int
@@ -62,39 +65,39 @@ class Film:
     nonfinite: int = 0
     rays: int = 0
     sums: np.ndarray = field(init=False)
-    touched: slice = field(default_factory=lambda: slice(0, 0))
+    touched: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
         self.sums = np.zeros((self.slots, CHANNELS))
+        self.touched = np.zeros(-(-self.slots // BLOCK), bool)
 
     def add_pass(self, pass_film: np.ndarray, rows: slice | None = None) -> None:
         """Add what one pass put on `pass_film` (slots, 6) float32, and blank it. The caller counts passes: several
         ranks may have shared one. rows: slots outside are known to be black."""
         rows = slice(0, self.slots) if rows is None else rows
         self.nonfinite += _accumulate(pass_film[rows], self.sums[rows], self.quantum)
-        self.touched = hull(self.touched, rows)
+        self.touched[rows.start // BLOCK : -(-rows.stop // BLOCK)] = True
 
     def merge(self, other: "Film") -> None:
         """Add another film's sums and counts."""
-        rows = other.touched
-        self.sums[rows] += other.sums[rows]
-        self.touched = hull(self.touched, rows)
+        for rows in other._touched_rows():
+            self.sums[rows] += other.sums[rows]
+        self.touched |= other.touched
         self.passes += other.passes
         self.nonfinite += other.nonfinite
         self.rays += other.rays
 
     def clear(self) -> None:
         """Forget everything."""
-        self.sums[self.touched] = 0
-        self.touched = slice(0, 0)
+        for rows in self._touched_rows():
+            self.sums[rows] = 0
+        self.touched[:] = False
         self.passes = self.nonfinite = self.rays = 0
 
-
-def hull(a: slice, b: slice) -> slice:
-    """The shortest slice that holds both."""
-    if a.start == a.stop or b.start == b.stop:
-        return b if a.start == a.stop else a
-    return slice(min(a.start, b.start), max(a.stop, b.stop))
+    def _touched_rows(self) -> Iterator[slice]:
+        """Runs of touched blocks."""
+        ends = BLOCK * np.flatnonzero(np.diff(self.touched, prepend=False, append=False))
+        return (slice(start, stop) for start, stop in ends.reshape(-1, 2).tolist())
 
 
 def quantum_for(brightest: float) -> float:

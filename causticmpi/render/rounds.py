@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from causticmpi.render.film import Film, hull
+from causticmpi.render.film import Film
 from causticmpi.render.methods import Method
 
 BATCH_SECONDS = 0.25
@@ -91,17 +91,12 @@ class Batches:
     def trace(self, shares: Iterable[Share], pending: Film, stop: Callable[[], bool]) -> bool:
         """Trace all shares into `pending`; False, with `pending` to be dropped, if `stop()` came true in between."""
         begun: int | None = None
-        rows = slice(0, 0)
         if self.began is None:
             self.began = time.process_time()
         for share in shares:
             if share.pass_index != begun:
-                if begun is not None:
-                    pending.add_pass(self.pass_film, rows)
-                rows = slice(0, 0)
                 begun = share.pass_index
                 pending.rays += self._timed(self.method.begin_pass, begun)
-            rows = hull(rows, self._slots_of(share))
             row = share.first
             while row < share.last:
                 end = min(share.last, row + self.rows)
@@ -114,8 +109,7 @@ class Batches:
                     return False
                 wanted = self.rows * min(4.0, max(0.25, BATCH_SECONDS / seconds))
                 self.rows = min(len(self.pixels), max(16, int(wanted) // 16 * 16))
-        if begun is not None:
-            pending.add_pass(self.pass_film, rows)
+            pending.add_pass(self.pass_film, self._slots_of(share))
         return True
 
     def _slots_of(self, share: Share) -> slice:
