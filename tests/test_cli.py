@@ -2,6 +2,7 @@
 
 import json
 import stat
+import subprocess
 import sys
 import tomllib
 from pathlib import Path
@@ -189,3 +190,12 @@ def test_the_variance_layer_is_the_spread_between_seeds(method: str, tmp_path: P
     spread = float(np.mean(np.var(pictures, axis=0, ddof=1) * weight))
     claim = float(np.mean(np.mean(claimed, axis=0) * weight))
     assert 0.5 < claim / spread < 2
+
+
+def test_the_command_line_alone_loads_no_heavy_module():
+    code = (
+        "import sys\nfrom causticmpi.cli.main import main\ntry:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
+        "print(sorted({'numpy', 'numba', 'scipy', 'yaml', 'msgspec', 'mpi4py', 'PIL'} & set(sys.modules)))"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.splitlines()[-1] == "[]"
