@@ -52,7 +52,7 @@ def error_chart(result: PartResult, palette: Mapping[str, str], against: str) ->
         panel.set_axisbelow(True)
         low, high = panel.get_ylim()
         panel.set_ylim(low * (low / high) ** 0.35, high)  # curves fall: the lower left is free for the legend
-        _plain_ticks(panel)
+        plain_ticks(panel)
         panel.legend(fontsize=8, loc="lower left", framealpha=0.85, edgecolor="none")
     axis = "time" if against == "seconds" else "passes"
     figure.suptitle(
@@ -80,7 +80,7 @@ def _positive(curve: np.ndarray) -> np.ndarray:
     return curve[curve[:, 1] > 0]
 
 
-def _plain_ticks(panel: "Axes") -> None:
+def plain_ticks(panel: "Axes") -> None:
     """1, 2, 5 in plain figures: powers of ten alone leave a short axis without a label."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
