@@ -38,13 +38,15 @@ def colours(labels: Sequence[str]) -> dict[str, str]:
 def error_chart(result: PartResult, palette: Mapping[str, str], against: str) -> "Figure":
     """Error curves of all methods, one panel per metric. against: `seconds` or `passes`."""
     from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    figure = Figure(figsize=(13, 7.2), layout="constrained")
+    # Padding in inches: a panel's title must not touch the axis above it.
+    figure = Figure(figsize=(13, 7.6), layout=ConstrainedLayoutEngine(h_pad=0.12))
     panels = figure.subplots(2, 3)
     for panel, (metric, name) in zip(panels.flat, CURVES.items(), strict=True):
         for group in result.longest:
             _curve(panel, group, metric, palette[group.label], against)
-        panel.set(xscale="log", yscale="log", title=name)
+        panel.set(xscale="log", yscale="log", title=name + (" [radiance²]" if metric == "mse" else ""))
         panel.set_xlabel("wall-clock time [s]" if against == "seconds" else "passes (samples per pixel)")
         if metric != "flip" and against == "passes":
             _guide(panel)

@@ -17,6 +17,8 @@ from causticmpi.output.progress import clock
 
 REPORT, TABLES, MEASUREMENTS = "report.html", "tables.md", "measurements.csv"
 
+SHRUNK = "Whole pictures are shrunk, which hides noise: close-ups show pixels as they are."
+
 
 def write_reports(plan: Plan, results: Sequence[PartResult], more: Sequence[Path] = ()) -> Path:
     """Write everything into the plan's directory; returns the path of the page.
@@ -47,10 +49,10 @@ def _introduction(plan: Plan, results: Sequence[PartResult]) -> list[str]:
     report = runs[0].report
     hosts = ", ".join(report["provenance"]["hosts"])
     scale = f" Budgets are scaled by {plan.config.scale:g}." if plan.config.scale != 1 else ""
+    ranks = f"{report['ranks']} ranks" if report["ranks"] > 1 else "1 rank"
     lines = [
-        f"causticmpi {__version__}, {report['ranks']} ranks on {hosts} ({report['provenance']['mpi']}), "
-        f"{len(runs)} runs one after the other under one MPI launch, "
-        f"{clock(sum(m.report['seconds']['total'] for m in runs))} in all.{scale}",
+        f"causticmpi {__version__}, {ranks} on {hosts} (MPI: {report['provenance']['mpi']}), {len(runs)} runs one "
+        f"after the other under one launch, {clock(sum(m.report['seconds']['total'] for m in runs))} in all.{scale}",
         "Every method has the same wall-clock time on the same ranks: loading the scene, the preprocess, tracing and "
         "writing are in it; compiling and loading the kernels are not. relMSE = mean((I - R)^2 / (R^2 + 0.01)) against "
         "the reference R, whose own variance is subtracted.",
@@ -83,12 +85,12 @@ def _section(result: PartResult, palette: dict[str, str]) -> Section:
         chart = charts.error_chart(result, palette, against)
         content.append(Image(f"{name}-error-against-{against}", charts.as_png(chart), caption))
     if len(result.groups) > 1:
-        caption = f"{result.part.title}: pictures after each budget; {methods}."
+        caption = f"{result.part.title}: pictures after each budget; {methods}. {SHRUNK}"
         content.append(Image(f"{name}-budgets", charts.as_jpeg(charts.budget_grid(result)), caption))
     for seconds, groups in result.groups.items():
         caption = f"{result.part.title} after {seconds:g} s: pictures at exposure 0, close-ups, error maps; {methods}."
         grid = charts.as_jpeg(charts.picture_grid(result, groups))
-        content.append(Image(f"{name}-pictures-{seconds:g}s", grid, caption))
+        content.append(Image(f"{name}-pictures-{seconds:g}s", grid, f"{caption} {SHRUNK}"))
     return Section(result.part.title, [TWO_TABLES] if variants is not None else [], content)
 
 

@@ -38,7 +38,10 @@ def with_interval(found: Interval) -> str:
     """mean ± half, the interval left out where there is one value."""
     if found.count == 0 or not math.isfinite(found.mean):
         return NOTHING
-    return number(found.mean) + (f" ± {number(found.half, 2)}" if math.isfinite(found.half) else "")
+    if not math.isfinite(found.half) or found.half <= 0:
+        return number(found.mean)
+    places = max(0, 1 - math.floor(math.log10(found.half)))  # two digits of the interval, as many places of the mean
+    return f"{found.mean:.{places}f} ± {found.half:.{places}f}"
 
 
 def error_table(result: PartResult, seconds: float) -> Table:
@@ -63,7 +66,7 @@ def error_table(result: PartResult, seconds: float) -> Table:
         (
             "method",
             "samples per pixel",
-            "RMSE",
+            "RMSE [radiance]",
             "relMSE",
             "relMSE trimmed",
             "relMSE in mask",
@@ -72,11 +75,15 @@ def error_table(result: PartResult, seconds: float) -> Table:
             "efficiency / pt",
         ),
         tuple(rows),
-        f"Mean ± 95 % interval over {groups[0].seeds}. Trimmed: the worst 0.1 % of pixels left "
+        f"Mean ± 95 % interval over {groups[0].seeds}{_too_few(groups[0])}. Trimmed: the worst 0.1 % of pixels left "
         f"out. Mask: {100 * result.mask.mean():.1f} % of the pixels, where the reference's caustic layer is above the "
         f"mask level. The reference's own relMSE, {number(errors.own_relmse)}, has been subtracted. Efficiency: relMSE "
         "of pt over that of the method, at equal time.",
     )
+
+
+def _too_few(group: Group) -> str:
+    return " (two are too few: it spans nine times their spread)" if len(group.runs) == 2 else ""
 
 
 def _speed_up(group: Group, groups: Sequence[Group]) -> str:
