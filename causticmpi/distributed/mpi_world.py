@@ -14,10 +14,14 @@ from collections.abc import Callable, Iterator
 from typing import Any, NoReturn, TypeVar, cast
 
 import numpy as np
-from mpi4py import MPI
 
-from causticmpi.distributed.world import AgreedInputError, Arrays, World, require_summable
-from causticmpi.errors import InputError
+# Open MPI's UCX component complains on every rank where it finds no fast network; windows are only shared here.
+os.environ.setdefault("OMPI_MCA_osc", "^ucx")
+
+from mpi4py import MPI  # noqa: E402
+
+from causticmpi.distributed.world import AgreedInputError, Arrays, World, require_summable  # noqa: E402
+from causticmpi.errors import InputError  # noqa: E402
 
 T = TypeVar("T")
 

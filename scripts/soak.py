@@ -1,0 +1,148 @@
+#!/usr/bin/env python3
+"""A long run at many ranks: does memory grow, and is the reduced picture the sum of what the ranks hold?
+
+    .venv/bin/python scripts/soak.py 60min --ranks 20          (-h for all options)
+
+Samples the resident memory of every rank, and at every reduction has rank 0 add up the sums of all ranks by itself, in
+rank order, and compare them bit for bit. Prints one line a minute and the verdict; exit code 1 if memory moved by more
+than 2 % after the first tenth of the time (at least a minute), or if any sum differed.
+"""
+
+import argparse
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from causticmpi.config.units import parse_time
+from causticmpi.distributed.launch import launcher_command, launcher_environment
+
+ALLOWED = 0.02
+COMPARED = "CAUSTICMPI_SOAK_COMPARED"
+"""Names the file that rank 0 appends a line to for every reduction: numbers that differ, numbers compared."""
+
+
+def check_reductions() -> None:
+    """Every reduction of this process is done twice from now on."""
+    from causticmpi.distributed.mpi_world import MpiWorld
+
+    reduce_sum = MpiWorld.reduce_sum
+
+    def checked(world: MpiWorld, array: np.ndarray) -> np.ndarray | None:
+        total = reduce_sum(world, array)
+        parts = world.gather(array)
+        if total is not None and parts is not None:
+            again = np.zeros_like(total)
+            for part in parts:
+                again += part
+            with open(os.environ[COMPARED], "a") as file:
+                file.write(f"{np.count_nonzero(again != total)} {total.size}\n")
+        return total
+
+    MpiWorld.reduce_sum = checked  # type: ignore[method-assign]
+
+
+def resident_mb(launcher: int) -> dict[int, float]:
+    """Resident memory [MB] of every rank below the launcher, by process."""
+    parents, memory, ranks = {}, {}, set()
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            pid = int(folder.name)
+            status = dict(
+                line.split(":\t", 1) for line in (folder / "status").read_text().splitlines() if ":\t" in line
+            )
+            parents[pid] = int(status["PPid"])
+            memory[pid] = int(status["VmRSS"].split()[0]) / 1024
+            if (folder / "cmdline").read_bytes().split(b"\0")[0].endswith(b"python"):
+                ranks.add(pid)
+        except (OSError, KeyError, ValueError):
+            continue  # gone, or a thread of the kernel
+
+    def below(pid: int) -> bool:
+        return pid == launcher or (pid in parents and below(parents[pid]))
+
+    return {pid: memory[pid] for pid in ranks if below(pid)}
+
+
+Samples = list[tuple[float, dict[int, float]]]
+"""(seconds, MB by process)."""
+
+
+def watch(launcher: "subprocess.Popen[bytes]", seconds: float, ranks: int, samples: Samples) -> None:
+    """Append a sample every five seconds until the run ends, or the planned seconds are over."""
+    began, told = time.monotonic(), 0.0
+    while launcher.poll() is None:
+        time.sleep(5)
+        now, memory = time.monotonic() - began, resident_mb(launcher.pid)
+        if len(memory) == ranks and now < seconds:
+            samples.append((now, memory))
+            if now - told > 60:
+                told = now
+                print(
+                    f"{now:7.0f} s  {sum(memory.values()):8.1f} MB in all, largest {max(memory.values()):.1f} MB",
+                    flush=True,
+                )
+
+
+def verdict(samples: Samples, seconds: float, compared: Path) -> bool:
+    settled = [(t, m) for t, m in samples if t > max(60.0, 0.1 * seconds)]
+    if len(settled) < 2:
+        print("too short: memory is looked at after the first minute")
+        return False
+    first = settled[0][1]
+    moved = {pid: [memory[pid] / first[pid] - 1 for _, memory in settled] for pid in first}
+    most, least = max(map(max, moved.values())), min(map(min, moved.values()))
+    totals = np.array([sum(m.values()) for _, m in settled])
+    hours = np.array([t / 3600 for t, _ in settled])
+    slope = np.polyfit(hours, totals, 1)[0] / totals[0]
+    print(f"memory, {len(settled)} samples over {3600 * np.ptp(hours):.0f} s: ranks moved by {100 * least:+.2f} to "
+          f"{100 * most:+.2f} %, all together {100 * (totals.min() / totals[0] - 1):+.2f} to "
+          f"{100 * (totals.max() / totals[0] - 1):+.2f} %, trend {100 * slope:+.2f} % an hour")  # fmt: skip
+    lines = [tuple(map(int, line.split())) for line in compared.read_text().splitlines()]
+    differing, numbers = (sum(column) for column in zip(*lines, strict=True))
+    print(f"sums, {len(lines)} reductions: {differing} of {numbers} numbers differ from the sum in rank order")
+    return max(most, -least) <= ALLOWED and differing == 0
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("duration", help="such as 60min")
+    parser.add_argument("--ranks", type=int, default=20)
+    parser.add_argument("--config", default="configs/cornell.yaml")
+    parser.add_argument("--size", type=int, default=96, help="width and height of the film [pixels]")
+    arguments = parser.parse_args()
+    seconds = parse_time(arguments.duration)
+    samples: Samples = []
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
+    with tempfile.TemporaryDirectory() as folder:
+        compared = Path(folder) / "compared"
+        size = [f"--set=film.{side}={arguments.size}" for side in ("width", "height")]
+        words = ["render", arguments.config, *size, "--time", arguments.duration, "--out", f"{folder}/out"]
+        rank = [sys.executable, __file__, "--rank", *words, "--set=output.checkpoint=20"]
+        env = launcher_environment(os.environ) | {COMPARED: str(compared)}
+        launcher = subprocess.Popen([*launcher_command(arguments.ranks), *rank], env=env, stderr=subprocess.DEVNULL)
+        try:
+            watch(launcher, seconds, arguments.ranks, samples)
+        except KeyboardInterrupt:
+            print("interrupted: judged by what there is")
+        finally:
+            launcher.terminate()
+            launcher.wait()
+        good = verdict(samples, seconds, compared)
+    print("flat and without drift" if good else "NOT flat, or drifting")
+    return 0 if good else 1
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["--rank"]:
+        from causticmpi.cli.main import main as program
+
+        del sys.argv[1]
+        check_reductions()
+        raise SystemExit(program())
+    raise SystemExit(main())
