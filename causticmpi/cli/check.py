@@ -9,7 +9,7 @@ from causticmpi.output.directory import check_directory
 FILM_BYTES = 2 * 12 * 8 + 6 * 4
 """Per pixel and rank: finished and pending sums (float64), one pass (float32)."""
 PHOTON_BYTES = 3 * 40
-"""Per forecast photon and node, with overlaps of the clusters."""
+"""Per photon and node: forecast maps, with overlaps of the clusters; a photon map takes less."""
 PROCESS_MB = 150
 """Interpreter, numba and compiled kernels of one rank."""
 
@@ -18,6 +18,7 @@ def check(arguments: argparse.Namespace) -> int:
     """Validate all that `render` would read; print what it will need. Raises InputError."""
     from causticmpi.distributed.environment import launcher_rank
     from causticmpi.render.foresight import of_scene
+    from causticmpi.render.methods import BIASED, FORECASTING
     from causticmpi.scene.content import has_specular
     from causticmpi.scene.load import load_scene
 
@@ -32,14 +33,20 @@ def check(arguments: argparse.Namespace) -> int:
     triangles, spheres = len(scene.triangles), len(scene.spheres)
     rank_mb = PROCESS_MB + pixels * FILM_BYTES / 2**20 + triangles * 150 / 2**20
     node_mb = sum(getattr(scene, name).nbytes for name in scene.ARRAYS) / 2**20
-    caustics = config.method == "iws+cf" and has_specular(scene)
-    if caustics:
-        node_mb += config.forecast.photons * PHOTON_BYTES / 2**20
+    caustics, photons = "not forecast", 0
+    if has_specular(scene) and config.method in FORECASTING:
+        photons = config.forecast.photons
+        caustics = f"forecast from {photons} photons"
+    elif has_specular(scene) and config.method == "iws+pm":
+        photons = config.photon_map.photons
+        caustics = f"from a map of {photons} photons"
+    node_mb += photons * PHOTON_BYTES / 2**20
+    method = config.method + (" (biased)" if config.method in BIASED else "")
     budget = f"{config.budget.time} s" if config.budget.time is not None else f"{config.budget.spp} samples per pixel"
     print(f"{arguments.config}: sound")
     print(f"scene    {scene.name}: {triangles} triangles, {spheres} spheres, {scene.dropped_triangles} dropped")
-    print(f"picture  {x1 - x0} x {y1 - y0} pixels, method {config.method}, budget {budget}")
-    print(f"caustics {'forecast from ' + str(config.forecast.photons) + ' photons' if caustics else 'not forecast'}")
+    print(f"picture  {x1 - x0} x {y1 - y0} pixels, method {method}, budget {budget}")
+    print(f"caustics {caustics}")
     for warning in of_scene(config, scene):
         print(f"warning  {warning}")
     print(f"memory   about {rank_mb:.0f} MB per rank and {node_mb:.0f} MB per node")

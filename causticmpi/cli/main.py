@@ -28,7 +28,7 @@ def build_parser() -> argparse.ArgumentParser:
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
     render = verbs.add_parser("render", help="render a picture within a time or sample budget")
     _common(render)
-    render.add_argument("--method", metavar="M", help="pt, pt-brute, iws or iws+cf")
+    render.add_argument("--method", metavar="M", help="pt, pt-brute, iws, iws+cf or iws+pm (biased)")
     budget = render.add_mutually_exclusive_group()
     budget.add_argument("--time", metavar="T", help="wall-clock budget, such as 30s, 4min or 1h")
     budget.add_argument("--spp", metavar="N", help="samples per pixel")

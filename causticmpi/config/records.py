@@ -12,7 +12,7 @@ Positive = Annotated[float, Meta(gt=0)]
 PositiveInt = Annotated[int, Meta(ge=1)]
 Count = Annotated[int, Meta(ge=0)]
 Vector = tuple[float, float, float]
-Method = Literal["pt", "pt-brute", "iws", "iws+cf"]
+Method = Literal["pt", "pt-brute", "iws", "iws+pm", "iws+cf"]
 
 
 class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -80,6 +80,18 @@ class Forecast(Record):
     overlap: Positive | Literal["auto"] = "auto"
 
 
+class PhotonMap(Record):
+    """The photon map of `iws+pm`, which is biased [CF sec. 3.1].
+
+    photons: caustic points to collect; neighbours: k of the density estimate; radius: its largest search radius in
+    scene units, `auto` derives it from the points.
+    """
+
+    photons: PositiveInt = 200_000
+    neighbours: Annotated[int, Meta(ge=2, description="the farthest weighs nothing")] = 50
+    radius: Positive | Literal["auto"] = "auto"
+
+
 class Output(Record):
     """Where the pictures go, and how often a progressive one is written (seconds).
 
@@ -105,5 +117,6 @@ class RenderConfig(Record):
     seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 1
     iws: Iws = Iws()
     forecast: Forecast = Forecast()
+    photon_map: PhotonMap = PhotonMap()
     output: Output = Output()
     watertight: bool = False

@@ -1,7 +1,7 @@
 """Before the first pass: the scene on every rank, compiled kernels on every node, forecast maps from rank 0."""
 
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -11,8 +11,9 @@ from causticmpi.distributed.world import World
 from causticmpi.kernels.embree import EmbreeScene, ray_buffer
 from causticmpi.kernels.traced_scene import TracedScene
 from causticmpi.preprocess.forecast import ClusterStatistics, ForecastMaps, build_forecast, no_forecast
+from causticmpi.preprocess.photon_map import PhotonMap, build_photon_map, no_photon_map
 from causticmpi.preprocess.photons import CausticPoints, shoot_photons
-from causticmpi.render.foresight import of_photons
+from causticmpi.render.foresight import of_photon_map, of_photons
 from causticmpi.render.methods import FORECASTING
 from causticmpi.scene.content import extent, has_specular
 from causticmpi.scene.data import SceneData
@@ -50,9 +51,10 @@ def share_scene(world: World, scene: SceneData | None, watertight: bool = False)
 
 @dataclass
 class Forecasting:
-    """Forecast maps on this rank and what their making told: photons found, particles emitted, rays, warnings."""
+    """`ForecastMaps` on this rank, or the `PhotonMap` of `iws+pm`, and what their making told: photons found, particles
+    emitted, rays, warnings."""
 
-    maps: ForecastMaps
+    maps: Any
     photons: int = 0
     emitted: int = 0
     rays: int = 0
@@ -67,8 +69,10 @@ def needs_forecast(config: RenderConfig, scene: SceneData) -> bool:
 def prepare_forecast(world: World, config: RenderConfig, scene: PreparedScene, watch: Stopwatch) -> Forecasting:
     """Collective. Rank 0 shoots, clusters and indexes the photons; every node gets the maps once.
 
-    A scene without a specular surface skips all of it.
+    A scene without a specular surface skips all of it. The maps of `iws+pm` are a photon map.
     """
+    if config.method == "iws+pm":
+        return _prepare_photon_map(world, config, scene, watch)
     if not needs_forecast(config, scene.data):
         return Forecasting(share_maps(world, no_forecast() if world.is_root else None))
     made = Forecasting(no_forecast())
@@ -107,11 +111,33 @@ def make_forecast(
     return made, points, statistics
 
 
-def share_maps(world: World, maps: ForecastMaps | None) -> ForecastMaps:
+def _prepare_photon_map(world: World, config: RenderConfig, scene: PreparedScene, watch: Stopwatch) -> Forecasting:
+    settings = config.photon_map
+    made = Forecasting(no_photon_map(settings.neighbours))
+    if world.is_root and has_specular(scene.data):
+        with watch.stage("photons"):
+            points, made.emitted, made.rays = shoot_photons(scene.traced, ray_buffer(), config.seed, settings.photons)
+        made.photons = len(points.power)
+        made.warnings = of_photon_map(made.photons, settings.photons, made.emitted)
+        if made.photons:
+            radius = None if settings.radius == "auto" else float(settings.radius)
+            with watch.stage("trees"):
+                made.maps = build_photon_map(points, made.emitted, settings.neighbours, radius)
+    with watch.stage("broadcast"):
+        made.maps = share_maps(world, made.maps if world.is_root else None)
+    return made
+
+
+Maps = TypeVar("Maps", ForecastMaps, PhotonMap)
+
+
+def share_maps(world: World, maps: Maps | None) -> Maps:
     """Collective. Rank 0's maps on every rank, arrays once per node and as buffers, never pickled."""
     arrays = scalars = None
+    kind = world.broadcast(type(maps))
     if maps is not None:
         arrays = {k: v for k, v in maps._asdict().items() if isinstance(v, np.ndarray)}
         scalars = {k: v for k, v in maps._asdict().items() if k not in arrays}
     shared: dict[str, Any] = dict(world.share(arrays))
-    return ForecastMaps(**shared, **world.broadcast(scalars))
+    made: Maps = kind(**shared, **world.broadcast(scalars))
+    return made

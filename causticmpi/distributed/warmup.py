@@ -4,13 +4,14 @@ import numpy as np
 
 from causticmpi.config.records import Camera, RenderConfig
 from causticmpi.distributed.world import SerialWorld
-from causticmpi.estimators import iws_cf, iws_mixture, path_tracing, virtual_lights
+from causticmpi.estimators import iws_cf, iws_mixture, iws_pm, path_tracing, virtual_lights
 from causticmpi.kernels import kdtree
 from causticmpi.kernels.embree import ray_buffer
 from causticmpi.kernels.jit import compiled_anew
 from causticmpi.kernels.pixels import pixel_order
-from causticmpi.preprocess import directions, forecast, k_means, photons, vector_quantization
+from causticmpi.preprocess import directions, forecast, k_means, photon_map, photons, vector_quantization
 from causticmpi.preprocess.forecast import ForecastMaps, build_forecast
+from causticmpi.preprocess.photon_map import PhotonMap, build_photon_map, no_photon_map
 from causticmpi.preprocess.photons import CausticPoints, shoot_photons
 from causticmpi.render import features, film
 from causticmpi.render.film import Film
@@ -24,11 +25,13 @@ KERNELS = [
     virtual_lights.trace_virtual_lights,
     iws_cf.trace_iws_cf,
     iws_mixture.trace_iws_mixture,
+    iws_pm.trace_iws_pm,
     photons._shoot,
     vector_quantization._compete,
     vector_quantization.assign,
     k_means._move_to_means,
     forecast._overlaps,
+    photon_map._neighbour_distances,
     directions._companion_cosines,
     kdtree.build_trees,
     film._accumulate,
@@ -83,11 +86,19 @@ def warm_up(config: RenderConfig, root: bool, forecasting: bool) -> bool:
     rays = ray_buffer()
     if root:
         features.first_hits(scene.traced, camera, rays, pixels, np.zeros((16, 7), np.float32))
-    if root and forecasting:
+    mapping = config.method == "iws+pm"
+    if root and (forecasting or mapping):
         shoot_photons(scene.traced, rays, 0, 1)
         points = CausticPoints(*(np.ones((4, 3), np.float32) for _ in range(4)))
-        build_forecast(points, 0, 2, 2, (4, 4), 8, 1, clustering=config.forecast.clustering)
-    maps = share_maps(world, tiny_maps() if forecasting else forecast.no_forecast())
+        if mapping:
+            build_photon_map(points, 1, 2)
+        else:
+            build_forecast(points, 0, 2, 2, (4, 4), 8, 1, clustering=config.forecast.clustering)
+    maps: ForecastMaps | PhotonMap
+    if mapping:
+        maps = share_maps(world, no_photon_map(config.photon_map.neighbours))
+    else:
+        maps = share_maps(world, tiny_maps() if forecasting else forecast.no_forecast())
     method = make_method(config, scene.traced, camera, maps, 1.0)
     method.begin_pass(0)
     pass_film = np.zeros((16, 6), np.float32)

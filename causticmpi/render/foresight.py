@@ -11,7 +11,7 @@ import numpy as np
 
 from causticmpi.config.records import RenderConfig
 from causticmpi.preprocess.directions import NARROWEST
-from causticmpi.render.methods import FORECASTING
+from causticmpi.render.methods import BIASED, FORECASTING
 from causticmpi.scene.content import extent, has_specular
 from causticmpi.scene.data import MIRROR, PHONG, SceneData
 
@@ -33,6 +33,11 @@ def of_scene(config: RenderConfig, scene: SceneData) -> tuple[str, ...]:
     """Warnings that the scene and the method alone give, before a ray is traced."""
     specular = has_specular(scene)
     made = [*_lights(config, scene)] if specular else []
+    if config.method in BIASED:
+        made.append(
+            f"{config.method} is biased: more passes do not lead to the true picture, and the estimated error is its "
+            "noise from pass to pass alone; use iws+cf"
+        )
     if config.method.startswith("iws"):
         made += _gloss(scene)
     if specular and config.method in FORECASTING and config.forecast.photons == 0:
@@ -62,6 +67,16 @@ def of_photons(photons: int, wanted: int, emitted: int) -> tuple[str, ...]:
             "not pay; compare with method pt",
         )
     return ()
+
+
+def of_photon_map(photons: int, wanted: int, emitted: int) -> tuple[str, ...]:
+    """Warnings about the photon map of `iws+pm`."""
+    if photons == wanted:
+        return ()
+    return (
+        f"the photon map is starved: {photons} of {wanted} photons after {emitted} particles; caustics will be blurred "
+        "or missing; bring light and specular objects closer",
+    )
 
 
 def _lights(config: RenderConfig, scene: SceneData) -> Iterator[str]:

@@ -12,18 +12,21 @@ import numpy as np
 from causticmpi.config.records import RenderConfig
 from causticmpi.estimators.caustic_forecast import forecast_work
 from causticmpi.estimators.caustic_mixture import mixture_work
+from causticmpi.estimators.density_estimate import density_work
 from causticmpi.estimators.full_radiance import pass_work
 from causticmpi.estimators.iws_cf import trace_iws_cf
 from causticmpi.estimators.iws_mixture import trace_iws_mixture
+from causticmpi.estimators.iws_pm import trace_iws_pm
 from causticmpi.estimators.path_tracing import trace_paths, trace_paths_brute
 from causticmpi.estimators.virtual_lights import empty_virtual_lights, trace_virtual_lights
 from causticmpi.kernels.embree import ray_buffer
 from causticmpi.kernels.traced_scene import TracedScene
 from causticmpi.preprocess.forecast import ForecastMaps
+from causticmpi.preprocess.photon_map import PhotonMap
 
 FORECASTING = ("iws+cf",)
 """Methods whose preprocess shoots photons and builds forecast maps."""
-BIASED: tuple[str, ...] = ()
+BIASED = ("iws+pm",)
 """Methods that do not converge to the true picture: named in every table and file they touch."""
 
 
@@ -58,29 +61,22 @@ class PathTracing:
         return self.kernel(self.scene, self.camera, self.rays, pixels, self.seed, self.pass_index, film)
 
 
-@dataclass
-class WeakSingularities:
-    """`iws` (L_d alone) and `iws+cf`."""
+@dataclass(kw_only=True)
+class VirtualLighting:
+    """What the methods of weak singularities share: virtual lights renewed every pass."""
 
     scene: TracedScene
     camera: np.ndarray
     seed: int
-    maps: ForecastMaps
     paths: int
     few: int
     bound: float
-    caustics: bool
-    sampling: str
     pass_index: int = 0
     lights: Any = None
     light_count: int = 0
 
     def __post_init__(self) -> None:
         self.rays = ray_buffer()
-        # Without a cluster there is nothing to mix: the first kernel samples by the BRDF alone then.
-        self.mixture = self.sampling == "mixture" and self.caustics and self.maps.codebook.shape[1] > 0
-        tables = self.sampling if self.sampling != "mixture" else "two"
-        self.work = pass_work(mixture_work(self.maps) if self.mixture else forecast_work(self.maps, tables))
         self.peak = most_peak(self.scene)
         self.lights = empty_virtual_lights(8 * self.paths)
 
@@ -92,6 +88,22 @@ class WeakSingularities:
                 self.light_count = count
                 return rays
             self.lights = empty_virtual_lights(2 * count)
+
+
+@dataclass(kw_only=True)
+class WeakSingularities(VirtualLighting):
+    """`iws` (L_d alone) and `iws+cf`."""
+
+    maps: ForecastMaps
+    caustics: bool
+    sampling: str
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        # Without a cluster there is nothing to mix: the first kernel samples by the BRDF alone then.
+        self.mixture = self.sampling == "mixture" and self.caustics and self.maps.codebook.shape[1] > 0
+        tables = self.sampling if self.sampling != "mixture" else "two"
+        self.work = pass_work(mixture_work(self.maps) if self.mixture else forecast_work(self.maps, tables))
 
     def trace(self, pixels: np.ndarray, film: np.ndarray) -> int:
         eye = (self.scene, self.camera, self.work, pixels, self.seed, self.pass_index)
@@ -105,25 +117,45 @@ class WeakSingularities:
         return rays
 
 
+@dataclass(kw_only=True)
+class PhotonMapping(VirtualLighting):
+    """`iws+pm`."""
+
+    photons: PhotonMap
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.work = pass_work(density_work(self.photons))
+
+    def trace(self, pixels: np.ndarray, film: np.ndarray) -> int:
+        eye = (self.scene, self.camera, self.work, pixels, self.seed, self.pass_index)
+        light = (self.lights, self.light_count, self.photons, self.few, self.bound)
+        rays: int = trace_iws_pm(*eye, *light, self.peak, film)
+        return rays
+
+
 def make_method(
-    config: RenderConfig, scene: TracedScene, camera: np.ndarray, maps: ForecastMaps, extent: float
+    config: RenderConfig, scene: TracedScene, camera: np.ndarray, maps: ForecastMaps | PhotonMap, extent: float
 ) -> Method:
-    """The configured method. extent: diagonal of the scene [scene units], for the automatic bound."""
+    """The configured method. maps: a photon map for `iws+pm`; extent: diagonal of the scene [scene units], for the
+    automatic bound."""
     if config.method == "pt":
         return PathTracing(trace_paths, scene, camera, config.seed)
     if config.method == "pt-brute":
         return PathTracing(trace_paths_brute, scene, camera, config.seed)
     bound = automatic_bound(extent) if config.iws.bound == "auto" else float(config.iws.bound)
+    common: dict[str, Any] = {
+        "scene": scene,
+        "camera": camera,
+        "seed": config.seed,
+        "paths": config.iws.paths,
+        "few": config.iws.deep_lights,
+        "bound": bound,
+    }
+    if isinstance(maps, PhotonMap):
+        return PhotonMapping(**common, photons=maps)
     return WeakSingularities(
-        scene,
-        camera,
-        config.seed,
-        maps,
-        config.iws.paths,
-        config.iws.deep_lights,
-        bound,
-        caustics=config.method == "iws+cf",
-        sampling=config.forecast.sampling,
+        **common, maps=maps, caustics=config.method == "iws+cf", sampling=config.forecast.sampling
     )
 
 
