@@ -113,7 +113,7 @@ def test_a_biased_method_is_called_so_everywhere(compared: Path, tmp_path: Path)
         assert "cf (biased)" in text.read_text()
         assert all("iws+cf" in line for line in lines), lines
     captions = re.findall(r"<figcaption>([^<]*)", (out / "report.html").read_text())
-    assert len(captions) == 3 and all("cf (biased)" in caption for caption in captions)
+    assert len(captions) == 4 and all("cf (biased)" in caption for caption in captions)
 
 
 def test_a_reference_of_another_scene_is_refused(

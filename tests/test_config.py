@@ -249,3 +249,20 @@ def test_random_corruptions_load_or_say_why(tmp_path: Path) -> None:
             refused += 1
             assert "\n" not in str(error) and str(error).startswith(str(path))
     assert 50 < refused < 300
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ("photons=0", "found 0; allowed: an integer >= 1"),
+        ("photons=2e5", "found 200000.0; allowed: an integer >= 1"),
+        ("neighbours=1", "found 1; allowed: an integer >= 2 (the farthest weighs nothing)"),
+        ("radius=0", "found 0; allowed: a number > 0 or auto"),
+        ("radius=wide", 'found "wide"; allowed: a number > 0 or auto'),
+        ("fotons=5", 'did you mean "photons"?'),
+    ],
+)
+def test_bad_photon_maps(tmp_path: Path, setting: str, words: str) -> None:
+    path = write(tmp_path, "scene: s.yaml\n")
+    text = message(path, [f"photon_map.{setting}"])
+    assert words in text and f"--set photon_map.{setting}" in text, text

@@ -187,6 +187,34 @@ def budget_grid(result: PartResult) -> "Figure":
     return figure
 
 
+def bias_grid(result: PartResult) -> "Figure":
+    """Signed relative error in the close-ups, one column per method, on one scale: noise averages out, bias stays."""
+    from matplotlib.colors import Normalize
+    from matplotlib.figure import Figure
+
+    groups, closeups = result.longest, result.part.scene.closeups
+    left, top = (result.part.base.film.crop or (0, 0))[:2]
+    heights = [_shape(closeup) for closeup in closeups]
+    figure = Figure(
+        figsize=(CELL * len(groups) + 1.0, CELL * sum(heights) + 0.3 * len(heights) + 0.6), layout="constrained"
+    )
+    cells = figure.subplots(len(closeups), len(groups), height_ratios=heights, squeeze=False)
+    parts = [[g.signed[y0 - top : y1 - top, x0 - left : x1 - left] for g in groups] for x0, y0, x1, y1 in closeups]
+    for row, crops in zip(cells, parts, strict=True):
+        most = max(float(np.percentile(np.abs(np.concatenate([crop.ravel() for crop in crops])), 99)), 1e-6)
+        for cell, crop in zip(row, crops, strict=True):
+            cell.set(xticks=[], yticks=[])
+            shown = cell.imshow(crop, norm=Normalize(-most, most), cmap="RdBu_r", interpolation="nearest")
+        figure.colorbar(shown, ax=row, fraction=0.03, pad=0.01)
+    for cell, group in zip(cells[0], groups, strict=True):
+        cell.set_title(f"{group.name}\n{group.runs[0].final.passes} samples per pixel", fontsize=10)
+    figure.suptitle(
+        f"{result.part.title}: signed relative error in the close-ups, mean of {groups[0].seeds}; red: too bright",
+        fontsize=12,
+    )
+    return figure
+
+
 def as_png(figure: "Figure") -> bytes:
     """For charts: few colours, sharp lines."""
     out = io.BytesIO()

@@ -91,6 +91,12 @@ def _section(result: PartResult, palette: dict[str, str]) -> Section:
         caption = f"{result.part.title} after {seconds:g} s: pictures at exposure 0, close-ups, error maps; {methods}."
         grid = charts.as_jpeg(charts.picture_grid(result, groups))
         content.append(Image(f"{name}-pictures-{seconds:g}s", grid, f"{caption} {SHRUNK}"))
+    if result.part.scene.closeups and any(group.biased for group in longest):
+        caption = (
+            f"{result.part.title}: signed relative error in the close-ups; {methods}. Noise averages out over seeds "
+            "and pixels, bias stays."
+        )
+        content.append(Image(f"{name}-bias", charts.as_jpeg(charts.bias_grid(result)), caption))
     return Section(result.part.title, [TWO_TABLES] if variants is not None else [], content)
 
 

@@ -37,7 +37,7 @@ from causticmpi.output.report import provenance
 from causticmpi.render.features import first_hits
 from causticmpi.render.film import Film, quantum_for
 from causticmpi.render.foresight import of_scene
-from causticmpi.render.methods import make_method
+from causticmpi.render.methods import BIASED, make_method
 from causticmpi.render.rounds import Batches, divide, equal_round
 from causticmpi.scene.data import SceneData
 from causticmpi.scene.tracing import camera_array
@@ -396,6 +396,7 @@ class _Run:
         passes, error = self.film.passes, self.result.error
         words = f"{passes} pass{'' if passes == 1 else 'es'} in {self.watch.elapsed():.1f} s on {self.world.size} rank"
         words += "s" if self.world.size > 1 else ""
+        words += f", {self.config.method} (biased)" if self.config.method in BIASED else ""
         words += "" if error is None else f", estimated relMSE {error:.2g}"
         if self.stopped_by:
             words += f", stopped by signal {self.stopped_by}"

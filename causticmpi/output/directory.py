@@ -113,7 +113,7 @@ def write_run(
     """
     directory, start = Path(directory), time.perf_counter()
     write_whole(directory / EXR, lambda path: write_exr(path, picture, attributes))
-    write_whole(directory / PNG, lambda path: write_png(path, picture.rgb, exposure_stops))
+    write_whole(directory / PNG, lambda path: write_png(path, picture.rgb, exposure_stops, bool(report.get("biased"))))
     spent = time.perf_counter() - start
     seconds = dict(report["seconds"])
     for stage in ("write", "total"):

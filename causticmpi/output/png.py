@@ -25,10 +25,13 @@ def srgb_bytes(rgb: NDArray[np.float64], exposure_stops: float = 0.0) -> NDArray
     return np.where(finite, pixels, np.array(NONFINITE_COLOUR, np.uint8))
 
 
-def write_png(path: str | os.PathLike[str], rgb: NDArray[np.float64], exposure_stops: float = 0.0) -> None:
+def write_png(
+    path: str | os.PathLike[str], rgb: NDArray[np.float64], exposure_stops: float = 0.0, biased: bool = False
+) -> None:
     """Write `rgb` ((H, W, 3), linear Rec.709 radiance) as 8-bit sRGB; see `srgb_bytes`.
 
-    tEXt chunks: Software, Exposure (in stops, with the factor), and NonfinitePixels where there are any.
+    tEXt chunks: Software, Exposure (in stops, with the factor), Biased where the method is, and NonfinitePixels where
+    there are any.
     Raises OSError where the file cannot be written.
     """
     from PIL import Image, PngImagePlugin  # late: other ranks never write
@@ -36,6 +39,8 @@ def write_png(path: str | os.PathLike[str], rgb: NDArray[np.float64], exposure_s
     info = PngImagePlugin.PngInfo()
     info.add_text("Software", f"causticmpi {__version__}")
     info.add_text("Exposure", f"{exposure_stops:+g} stops (radiance x {2.0**exposure_stops:g}, sRGB, clamped)")
+    if biased:
+        info.add_text("Biased", "yes")
     broken = int(np.count_nonzero(~np.isfinite(rgb).all(axis=-1)))
     if broken:
         info.add_text("NonfinitePixels", f"{broken} (drawn magenta)")

@@ -71,9 +71,7 @@ def automatic_radius(x: np.ndarray, y: np.ndarray, z: np.ndarray, axis: np.ndarr
     return math.sqrt(float(np.quantile(found, SHARE))) or extent
 
 
-def build_photon_map(
-    points: CausticPoints, emitted: int, neighbours: int, radius: float | None = None
-) -> PhotonMap:
+def build_photon_map(points: CausticPoints, emitted: int, neighbours: int, radius: float | None = None) -> PhotonMap:
     """Index at least one caustic point. emitted: particles shot for them; radius: None derives it from the points."""
     count = len(points.power)
     order, axis = np.arange(count, dtype=np.int32), np.zeros(count, np.uint8)

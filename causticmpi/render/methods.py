@@ -154,9 +154,7 @@ def make_method(
     }
     if isinstance(maps, PhotonMap):
         return PhotonMapping(**common, photons=maps)
-    return WeakSingularities(
-        **common, maps=maps, caustics=config.method == "iws+cf", sampling=config.forecast.sampling
-    )
+    return WeakSingularities(**common, maps=maps, caustics=config.method == "iws+cf", sampling=config.forecast.sampling)
 
 
 BOUND_FACTOR = 100.0
