@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -73,13 +74,16 @@ def contenders(only: str) -> list[Contender]:
     return found
 
 
-def keyed(task: Task, own_code: bool) -> Task:
-    """The task with its key: sha256 (hex) of scene, film, budgets, seed and method; with own_code also of our config,
-    kernels and version, so that a run of older code is done again."""
+def keyed(task: Task, module: str | None) -> Task:
+    """The task with its key: sha256 (hex) of scene, film, budgets, seed, method and the code that runs them.
+
+    The code: versions of the packages of `module`; for ours also config and kernels; nothing for None.
+    """
     config, scene = task.load()
     plain = msgspec.to_builtins(config)
     known = [scene.content_hash, plain["film"], task.seconds, task.seed, task.method]
-    if own_code:
+    known += [version(package) for package in NEEDED.get(module or "", ())]
+    if module == "ours":
         known += [plain["iws"], plain["forecast"], plain["watertight"], cache_directory().name, __version__]
     return replace(task, key=hashlib.sha256(json.dumps(known).encode()).hexdigest())
 
@@ -106,7 +110,7 @@ def make_reference(config: Path, folder: Path, seconds: float) -> ReferencePictu
     They stay when kernels change: a reference does not depend on how fast it was made.
     """
     tasks = [Task(config, "iws+cf", folder / f"reference-{seed}.npz", (seconds,), seed) for seed in HALVES]
-    tasks = [keyed(task, own_code=False) for task in tasks]
+    tasks = [keyed(task, None) for task in tasks]
     started = [(task, start("ours", task)) for task in tasks if not finished(task)]
     for task, process in started:
         if process.wait() != 0:
@@ -134,7 +138,7 @@ def compare_scene(name: str, config_file: Path, arguments: argparse.Namespace) -
     for seed in range(1, arguments.seeds + 1):
         for contender in arguments.contenders:
             out = folder / f"{contender.module}-{contender.method}-{seed}.npz"
-            task = keyed(Task(config, contender.method, out, seconds, seed), contender.module == "ours")
+            task = keyed(Task(config, contender.method, out, seconds, seed), contender.module)
             found, told = _points(contender, task, reference, arguments.show)
             points += found
             notes += told
