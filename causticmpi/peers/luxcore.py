@@ -15,7 +15,7 @@ import numpy as np
 
 from causticmpi.config.records import Camera
 from causticmpi.peers.export import Surface, surfaces, write_ply
-from causticmpi.peers.recording import Recording, Task, read_task
+from causticmpi.peers.recording import Recording, Task, load, read_task
 
 ENGINES = {"path": "PATHCPU", "hybrid": "PATHCPU", "photongi": "PATHCPU", "bidir": "BIDIRCPU", "bidirvm": "BIDIRVMCPU"}
 DEPTH = 24
@@ -113,7 +113,7 @@ def pixel_footprint(camera: Camera, height: int) -> float:
 
 def render(task: Task) -> tuple[Recording, dict[str, Any]]:
     """One session; this thread sleeps and looks at the clock and at the film."""
-    config, data = task.load()
+    config, data = load(task.config)
     width, height, camera = config.film.width, config.film.height, data.camera
     found = surfaces(data, SPHERE_LEVEL)
     with tempfile.TemporaryDirectory() as folder:

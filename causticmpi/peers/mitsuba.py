@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from causticmpi.peers.export import Surface, surfaces
-from causticmpi.peers.recording import Recording, Task, read_task
+from causticmpi.peers.recording import Recording, Task, load, read_task
 from causticmpi.scene.data import SceneData
 
 SAMPLES = 4
@@ -118,7 +118,7 @@ def render(task: Task) -> tuple[Recording, dict[str, Any]]:
     mi: Any = mitsuba  # a module whose contents follow the variant
     mi.set_variant(variant)
     drjit.set_thread_count(1)
-    config, data = task.load()
+    config, data = load(task.config)
     film = config.film
     scene = mitsuba_scene(mi, data, film.width, film.height, None, task.method)
     np.array(mi.render(scene, spp=SAMPLES, seed=2**31 - 1))

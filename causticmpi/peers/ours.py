@@ -24,7 +24,7 @@ from causticmpi.distributed.signals import StopFlag
 from causticmpi.distributed.snapshots import Snapshots
 from causticmpi.distributed.warmup import warm_up
 from causticmpi.distributed.world import SerialWorld
-from causticmpi.peers.recording import Recording, Task, read_task
+from causticmpi.peers.recording import Recording, Task, load, read_task
 from causticmpi.render.film import resolve
 
 PATIENCE = 30.0
@@ -76,7 +76,7 @@ class BudgetSnapshots(Snapshots):
 
 def render(task: Task) -> tuple[Recording, dict[str, Any]]:
     """One run of the program without a time limit that matters, stopped after the last budget."""
-    config, scene = task.load()
+    config, scene = load(task.config)
     recording = Recording(task.seconds)
     with tempfile.TemporaryDirectory() as folder:
         config = msgspec.structs.replace(

@@ -33,10 +33,11 @@ class Task:
         options = ["--seconds", seconds, "--seed", str(self.seed), "--key", self.key]
         return [str(self.config), self.method, str(self.out), *options]
 
-    def load(self) -> tuple[RenderConfig, SceneData]:
-        """The config and its scene. Raises InputError."""
-        config = load_config(self.config)
-        return config, load_scene(scene_path(self.config, config))
+
+def load(config_file: Path) -> tuple[RenderConfig, SceneData]:
+    """A config and its scene. Raises InputError."""
+    config = load_config(config_file)
+    return config, load_scene(scene_path(config_file, config))
 
 
 def read_task() -> Task:

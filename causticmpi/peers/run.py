@@ -4,6 +4,7 @@ Finished runs are kept, so a stopped comparison goes on.
 """
 
 import argparse
+import functools
 import hashlib
 import json
 import os
@@ -23,11 +24,12 @@ from causticmpi.compare.charts import as_png, require_matplotlib
 from causticmpi.compare.metrics import ReferencePicture
 from causticmpi.compare.tables import to_csv, to_markdown
 from causticmpi.config.load import load_config
+from causticmpi.config.records import RenderConfig
 from causticmpi.errors import InputError
 from causticmpi.kernels.jit import cache_directory
 from causticmpi.output.directory import write_whole
 from causticmpi.peers.chart import chart
-from causticmpi.peers.recording import Recording, Task, budgets
+from causticmpi.peers.recording import Recording, Task, budgets, load
 from causticmpi.peers.references import find_reference, from_halves
 from causticmpi.peers.results import ALL, Contender, Point, misplaced, points_of, raw_table, table
 from causticmpi.peers.scenes import common_scene
@@ -79,13 +81,20 @@ def keyed(task: Task, module: str | None) -> Task:
 
     The code: versions of the packages of `module`; for ours also config and kernels; nothing for None.
     """
-    config, scene = task.load()
+    config, scene_hash = _loaded(task.config)
     plain = msgspec.to_builtins(config)
-    known = [scene.content_hash, plain["film"], task.seconds, task.seed, task.method]
+    known = [scene_hash, plain["film"], task.seconds, task.seed, task.method]
     known += [version(package) for package in NEEDED.get(module or "", ())]
     if module == "ours":
         known += [plain["iws"], plain["forecast"], plain["watertight"], cache_directory().name, __version__]
     return replace(task, key=hashlib.sha256(json.dumps(known).encode()).hexdigest())
+
+
+@functools.cache
+def _loaded(config_file: Path) -> tuple[RenderConfig, str]:
+    """A config and its scene's content hash; meshes are read once for all runs."""
+    config, scene = load(config_file)
+    return config, scene.content_hash
 
 
 def finished(task: Task) -> bool:
