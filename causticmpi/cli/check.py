@@ -27,6 +27,10 @@ def check(arguments: argparse.Namespace) -> int:
     config = load_config(arguments.config, overrides(arguments))
     scene = load_scene(scene_path(arguments.config, config))
     check_directory(config.output.directory, force=True)
+    if not isinstance(config.forecast.aim, str):
+        from causticmpi.preprocess.aim import emission_aim
+
+        emission_aim(config.forecast.aim, scene)
     film = config.film
     x0, y0, x1, y1 = film.crop or (0, 0, film.width, film.height)
     pixels = (x1 - x0) * (y1 - y0)

@@ -2,7 +2,7 @@
 
 import math
 
-from causticmpi.config.records import Budget, Camera, Film, Vector
+from causticmpi.config.records import Box, Budget, Camera, Film, Vector
 from causticmpi.config.units import parse_time
 from causticmpi.errors import InputError
 
@@ -40,6 +40,16 @@ def check_budget(budget: Budget) -> Budget:
         return Budget(time=parse_time(budget.time))
     except InputError as error:
         raise InputError(f"time: {error}") from None
+
+
+def check_box(box: Box) -> None:
+    """Raises InputError, without a place, for a box turned inside out, or one without any area."""
+    extent = [high - low for low, high in zip(box.min, box.max, strict=True)]
+    if min(extent) < 0 or sorted(extent)[1] <= 0:
+        raise InputError(
+            f"found min {list(box.min)} and max {list(box.max)}; allowed: min below max in at least two of x, y and z,"
+            " above it in none; exchange them or enlarge the box"
+        )
 
 
 def check_camera(camera: Camera) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from causticmpi.config.check import check_budget, check_camera, check_film
+from causticmpi.config.check import check_box, check_budget, check_camera, check_film
 from causticmpi.config.convert import convert
 from causticmpi.config.records import RenderConfig
 from causticmpi.config.yaml_source import Keys, YamlSource, parse_yaml, read_yaml
@@ -65,6 +65,11 @@ def _validated(source: YamlSource) -> RenderConfig:
             check_camera(config.camera)
         except InputError as error:
             raise _blame(source, "camera", ("eye", "target", "up"), error) from None
+    if not isinstance(config.forecast.aim, str):
+        try:
+            check_box(config.forecast.aim)
+        except InputError as error:
+            raise source.error(("forecast", "aim"), str(error)) from None
     for keys, text in ((("scene",), config.scene), (("output", "directory"), config.output.directory)):
         if not text.strip():
             raise source.error(keys, 'found ""; allowed: a path; write one')

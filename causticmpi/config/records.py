@@ -56,6 +56,13 @@ class Iws(Record):
     deep_lights: PositiveInt = 4
 
 
+class Box(Record):
+    """Axis-aligned box in scene units."""
+
+    min: Vector
+    max: Vector
+
+
 class Forecast(Record):
     """Caustic Forecasting [CF sec. 3.2].
 
@@ -65,7 +72,8 @@ class Forecast(Record):
     photons: caustic points to collect; clusters: codewords of the clustering; neighbours: n of the gather;
     table: bins in azimuth and cosine; max_rank: clusters of a higher rank are not gathered from; splitting:
     samples of each table, or of cones, at rank 0 and diffuse depth 0; radius, overlap: gather radius and the epsilon
-    around a cluster in scene units, `auto` derives them from the average photon density.
+    around a cluster in scene units, `auto` derives them from the average photon density; aim: box towards which most
+    photons are shot, `auto` around all specular surfaces, `off`.
     """
 
     sampling: Literal["mixture", "two", "one", "one-cosine", "one-smooth", "mis"] = "mixture"
@@ -78,6 +86,7 @@ class Forecast(Record):
     splitting: PositiveInt = 2
     radius: Positive | Literal["auto"] = "auto"
     overlap: Positive | Literal["auto"] = "auto"
+    aim: Literal["off", "auto"] | Box = "off"
 
 
 class PhotonMap(Record):

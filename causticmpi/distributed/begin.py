@@ -13,6 +13,7 @@ from causticmpi.distributed.clock import Stopwatch
 from causticmpi.distributed.world import World
 from causticmpi.errors import InputError
 from causticmpi.output.directory import UNFINISHED, Claim, check_directory, claim_directory
+from causticmpi.preprocess.aim import emission_aim
 from causticmpi.scene.content import with_camera
 from causticmpi.scene.data import SceneData
 from causticmpi.scene.load import load_scene
@@ -51,6 +52,7 @@ def read_input(world: World, read_request: Callable[[], Request], watch: Stopwat
                 scene = load_scene(request.scene_file)
                 if request.config.camera is not None:
                     scene = with_camera(scene, request.config.camera)
+                emission_aim(request.config.forecast.aim, scene)
             check_directory(request.config.output.directory, force=request.force, resume=request.resume)
             given = _with_state(Input(request, scene)) if request.resume else Input(request, scene)
         except InputError as found:

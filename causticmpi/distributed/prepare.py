@@ -10,6 +10,7 @@ from causticmpi.distributed.clock import Stopwatch
 from causticmpi.distributed.world import World
 from causticmpi.kernels.embree import EmbreeScene, ray_buffer
 from causticmpi.kernels.traced_scene import TracedScene
+from causticmpi.preprocess.aim import emission_aim
 from causticmpi.preprocess.forecast import ClusterStatistics, ForecastMaps, build_forecast, no_forecast
 from causticmpi.preprocess.photon_map import PhotonMap, build_photon_map, no_photon_map
 from causticmpi.preprocess.photons import CausticPoints, shoot_photons
@@ -89,7 +90,8 @@ def make_forecast(
     """Shoot, cluster and index the photons here; statistics are None, and the maps empty, where none is found."""
     made, settings = Forecasting(no_forecast()), config.forecast
     with watch.stage("photons"):
-        points, made.emitted, made.rays = shoot_photons(scene.traced, ray_buffer(), config.seed, settings.photons)
+        aim = emission_aim(settings.aim, scene.data)
+        points, made.emitted, made.rays = shoot_photons(scene.traced, ray_buffer(), config.seed, settings.photons, aim)
     made.photons = len(points.power)
     made.warnings = of_photons(made.photons, settings.photons, made.emitted)
     if not made.photons:

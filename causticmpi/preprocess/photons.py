@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from causticmpi.kernels import particles, rng, vec
+from causticmpi.kernels.aim import NATURAL, emission
 from causticmpi.kernels.eye_path import facing
 from causticmpi.kernels.jit import kernel
 from causticmpi.kernels.traced_scene import TracedScene
@@ -26,18 +27,21 @@ class CausticPoints(NamedTuple):
 
 
 @kernel
-def _shoot(scene, rays, seed, first, last, points, stored):
-    """Particles first … last-1; stops when `points` is full. Returns (stored, next particle, rays traced)."""
+def _shoot(scene, rays, seed, first, last, aim, points, stored):
+    """Particles first … last-1, emitted by `aim`; stops when `points` is full.
+
+    Returns (stored, next particle, rays traced).
+    """
     traced = 0
     particle = first
     while particle < last and stored < points.power.shape[0]:
         key = rng.make_key(seed, rng.PHOTON, 0, particle)
         u, v = rng.uniform2(key, particles.EMIT_POINT)
-        w, _ = rng.uniform2(key, 2)
+        w, choice = rng.uniform2(key, 2)
         _, p, n, offset, power = particles.emit(scene, u, v, w)
         u, v = rng.uniform2(key, particles.EMIT_DIRECTION)
-        direction = particles.emission_direction(n, u, v)
-        flux = vec.scale(power, particles.PARTICLE_FLUX)
+        direction, weight = emission(aim, p, n, choice, u, v)
+        flux = vec.scale(power, weight)
         origin = vec.along(p, n, offset)
         bounce = 0
         while vec.max3(flux) > ZERO:
@@ -69,9 +73,12 @@ MOST_PARTICLES_PER_PHOTON = 400
 """The shooting gives up after this many particles per caustic point asked for: then few reach a specular surface."""
 
 
-def shoot_photons(scene: TracedScene, rays: np.ndarray, seed: int, count: int) -> tuple[CausticPoints, int, int]:
+def shoot_photons(
+    scene: TracedScene, rays: np.ndarray, seed: int, count: int, aim: np.ndarray = NATURAL
+) -> tuple[CausticPoints, int, int]:
     """Shoot until `count` caustic points are found, or nearly nothing reaches a specular surface.
 
+    aim (7,) float32: see kernels.aim; whatever it is, the points' power over the particles emitted is unbiased.
     Returns the points found, the particles emitted and the rays traced.
     """
     points = CausticPoints(*(np.zeros((count, 3), np.float32) for _ in range(4)))
@@ -79,6 +86,6 @@ def shoot_photons(scene: TracedScene, rays: np.ndarray, seed: int, count: int) -
     limit = MOST_PARTICLES_PER_PHOTON * count
     while stored < count and emitted < limit:
         batch = min(limit - emitted, 1 << 20)
-        stored, emitted, rays_traced = _shoot(scene, rays, seed, emitted, emitted + batch, points, stored)
+        stored, emitted, rays_traced = _shoot(scene, rays, seed, emitted, emitted + batch, aim, points, stored)
         traced += rays_traced
     return CausticPoints(*(a[:stored] for a in points)), emitted, traced

@@ -1,0 +1,65 @@
+"""Where forecast photons are aimed: an invisible box around chosen objects, or around all specular ones [CF sec. 3.2].
+
+Only forecasts are aimed. Virtual lights never are.
+"""
+
+import numpy as np
+
+from causticmpi.config.records import Box
+from causticmpi.errors import InputError
+from causticmpi.kernels.aim import NATURAL
+from causticmpi.scene.data import MIRROR, SceneData
+
+SHARE = 0.75
+"""Share of aimed particles; the others leave as light does, and find what lies outside the box."""
+
+
+def emission_aim(setting: str | Box, scene: SceneData) -> np.ndarray:
+    """Aim (7,) float32 of `forecast.aim` (see kernels.aim).
+
+    Raises InputError for a box that holds no specular surface or lies behind every light. `auto` is natural emission
+    where it would raise.
+    """
+    if setting == "off":
+        return NATURAL
+    low, high = specular_boxes(scene)
+    if isinstance(setting, str):
+        if len(low) == 0:
+            return NATURAL
+        box = np.concatenate([low.min(axis=0), high.max(axis=0)])
+        return _aim(box) if _seen(box, scene) else NATURAL
+    box = np.array([*setting.min, *setting.max])
+    found = f"forecast.aim: found a box from {list(setting.min)} to {list(setting.max)}, which"
+    if not ((low <= box[3:]) & (high >= box[:3])).all(axis=1).any():
+        where = "the scene has none" if len(low) == 0 else f"they lie between {low.min(axis=0)} and {high.max(axis=0)}"
+        raise InputError(f"{found} holds no specular surface; allowed: a box around some ({where}); write aim: auto")
+    if not _seen(box, scene):
+        raise InputError(f"{found} lies behind every light; allowed: a box that a light shines at; write aim: off")
+    return _aim(box)
+
+
+def _aim(box: np.ndarray) -> np.ndarray:
+    return np.append(box, SHARE).astype(np.float32)
+
+
+def specular_boxes(scene: SceneData) -> tuple[np.ndarray, np.ndarray]:
+    """Least and greatest corner of every specular triangle and sphere, (n, 3) float64 each."""
+    specular = scene.material_kind[scene.primitive_material] >= MIRROR
+    triangles = len(scene.triangles)
+    corners = scene.vertices[scene.triangles[specular[:triangles]]].astype(np.float64)
+    spheres = scene.spheres[specular[triangles:]].astype(np.float64)
+    centre, radius = spheres[:, :3], spheres[:, 3:]
+    low = np.concatenate([corners.min(axis=1), centre - radius])
+    return low, np.concatenate([corners.max(axis=1), centre + radius])
+
+
+def _seen(box: np.ndarray, scene: SceneData) -> bool:
+    """Whether any corner of the box lies before the plane of a light; light spheres shine all around."""
+    lights = np.flatnonzero(scene.primitive_emission >= 0)
+    triangles = lights[lights < len(scene.triangles)]
+    if len(triangles) < len(lights):
+        return True
+    v = scene.vertices[scene.triangles[triangles]].astype(np.float64)
+    normal = np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0])
+    reach = np.maximum(normal * (box[:3] - v[:, 0]), normal * (box[3:] - v[:, 0])).sum(axis=1)
+    return bool((reach > 0).any())
