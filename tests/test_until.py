@@ -1,6 +1,6 @@
 """Stopping at a wanted error must not bend the picture: halves that stop each other, on a toy of rare bright passes.
 
-The toy is bright (100) with one pass in 50, else dim, which is what a rare caustic path does to a pixel. Stopping by the
+The toy is bright (100) with one pass in 50, else dim, as a rare caustic path makes a pixel. Stopping by the
 whole picture's own error, known to be wrong, shows its bias in the same harness.
 """
 
@@ -13,7 +13,7 @@ from causticmpi.distributed.until import FIRST, Until
 from causticmpi.output.picture import estimated_relmse
 from causticmpi.render.film import CHANNELS, resolve
 
-RUNS, MOST = 3000, 1024
+RUNS, MOST = 8000, 1024
 ASKED = [n for n in range(1, MOST + 1) if Until(1).asks(n)]
 SECOND = np.array([Until(1).half(i) for i in range(MOST)], bool)
 DIM, BRIGHT, RARE = 1.0, 100.0, 1 / 50

@@ -32,6 +32,7 @@ def build_parser() -> argparse.ArgumentParser:
     budget = render.add_mutually_exclusive_group()
     budget.add_argument("--time", metavar="T", help="wall-clock budget, such as 30s, 4min or 1h")
     budget.add_argument("--spp", metavar="N", help="samples per pixel")
+    render.add_argument("--until", metavar="E", help="stop before that at this estimated relMSE, such as 1%%")
     render.add_argument("--out", metavar="DIR", help="output directory")
     render.add_argument("--seed", metavar="N", help="seed of all random numbers")
     render.add_argument("-j", dest="ranks", metavar="RANKS", type=int, default=1, help="start this many ranks here")

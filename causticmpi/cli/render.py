@@ -8,7 +8,7 @@ from causticmpi.config.load import load_config, scene_path
 
 def overrides(arguments: argparse.Namespace) -> list[str]:
     """The options of the command line as config overrides, in the form `load_config` takes."""
-    named = ("method", "time", "spp", "seed", "out")
+    named = ("method", "time", "spp", "until", "seed", "out")
     given = [f"--{name}={getattr(arguments, name)}" for name in named if getattr(arguments, name, None) is not None]
     return [*arguments.settings, *given]
 

@@ -70,7 +70,7 @@ def _placed(config: RenderConfig, directory: Path, seed: int, seconds: float | N
     return replace(
         config,
         seed=seed,
-        budget=replace(config.budget, time=seconds, spp=spp),
+        budget=replace(config.budget, time=seconds, spp=spp, until=None),
         output=replace(config.output, directory=str(directory), interval=NO_PROGRESSIVE_PICTURES, checkpoint=0.0),
     )
 

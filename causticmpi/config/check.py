@@ -3,7 +3,7 @@
 import math
 
 from causticmpi.config.records import Box, Budget, Camera, Film, Vector
-from causticmpi.config.units import parse_time
+from causticmpi.config.units import parse_share, parse_time
 from causticmpi.errors import InputError
 
 MAX_SIDE = 65535
@@ -29,17 +29,22 @@ def check_film(film: Film) -> None:
 
 
 def check_budget(budget: Budget) -> Budget:
-    """The budget with `time` in seconds. Raises InputError, without a place, unless it has exactly one limit."""
+    """The budget with `time` in seconds and `until` a number. Raises InputError, without a place, unless it has exactly
+    one of time and spp."""
     if budget.time is not None and budget.spp is not None:
         raise InputError("found both time and spp; allowed: exactly one of them; delete one")
     if budget.time is None and budget.spp is None:
         raise InputError("found neither time nor spp; allowed: exactly one of them; write time: 4min or spp: 64")
-    if budget.time is None:
-        return budget
+    time = until = None
     try:
-        return Budget(time=parse_time(budget.time))
+        time = None if budget.time is None else parse_time(budget.time)
     except InputError as error:
         raise InputError(f"time: {error}") from None
+    try:
+        until = None if budget.until is None else parse_share(budget.until)
+    except InputError as error:
+        raise InputError(f"until: {error}") from None
+    return Budget(time=time, spp=budget.spp, until=until)
 
 
 def check_box(box: Box) -> None:

@@ -17,11 +17,12 @@ OPTIONS: dict[str, Keys] = {
     "--method": ("method",),
     "--time": ("budget", "time"),
     "--spp": ("budget", "spp"),
+    "--until": ("budget", "until"),
     "--seed": ("seed",),
     "--out": ("output", "directory"),
 }
 """Options of the command line that are short for a key."""
-_TEXT_OPTIONS = ("--method", "--time", "--out")
+_TEXT_OPTIONS = ("--method", "--time", "--until", "--out")
 _BUDGETS = {"time": "spp", "spp": "time"}
 
 
@@ -59,7 +60,7 @@ def _validated(source: YamlSource) -> RenderConfig:
     try:
         budget = check_budget(config.budget)
     except InputError as error:
-        raise _blame(source, "budget", ("time", "spp"), error) from None
+        raise _blame(source, "budget", ("time", "spp", "until"), error) from None
     if config.camera is not None:
         try:
             check_camera(config.camera)

@@ -38,10 +38,14 @@ class Film(Record):
 
 
 class Budget(Record):
-    """Wall-clock time ("30s", "4min", "1h", or a number of seconds) or samples per pixel: one of them."""
+    """Wall-clock time ("30s", "4min", "1h", or a number of seconds) or samples per pixel: one of them.
+
+    until: estimated relMSE ("1%" or 0.01) at which a run stops before that (distributed.until).
+    """
 
     time: str | float | None = None
     spp: PositiveInt | None = None
+    until: str | float | None = None
 
 
 class Iws(Record):

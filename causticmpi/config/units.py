@@ -1,4 +1,4 @@
-"""Wall-clock times as people write them."""
+"""Times and shares as people write them."""
 
 import math
 import re
@@ -43,3 +43,14 @@ def _seconds(value: str | float) -> float | None:
     if parts is None or not text:
         return None
     return sum(float(part) * unit for part, unit in zip(parts.groups(), _SECONDS, strict=True) if part)
+
+
+def parse_share(value: str | float) -> float:
+    """The number > 0 meant by "1%" or 0.01. Raises InputError, without a place, for anything else."""
+    text = str(value).strip()
+    number = text.removesuffix("%").strip()
+    found = math.nan if isinstance(value, bool) or not _PLAIN.fullmatch(number) else float(number)
+    found = found / 100 if text.endswith("%") else found
+    if not (math.isfinite(found) and found > 0):
+        raise InputError(f"found {value}; allowed: a number > 0 or a percentage; write for example 1%")
+    return found

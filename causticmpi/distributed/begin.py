@@ -73,6 +73,12 @@ def _with_state(given: Input) -> Input:
     if state is None:
         print(f"causticmpi: {directory}: no {'usable ' if damaged else ''}checkpoint, starting afresh", file=sys.stderr)
         return given
+    if config.budget.until is not None:
+        raise InputError(
+            "a run with budget.until cannot be resumed, for its checkpoint does not keep its halves apart; leave out "
+            "until, or start anew with --force",
+            directory,
+        )
     require_same_run(state, config, scene.content_hash, directory)
     return replace(given, state=state, sums=arrays["sums"])
 

@@ -5,7 +5,7 @@ import os
 import shlex
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from causticmpi.distributed.prepare import (
 from causticmpi.distributed.result import Merged, Result
 from causticmpi.distributed.signals import StopFlag
 from causticmpi.distributed.snapshots import Snapshots
+from causticmpi.distributed.until import Part, Until
 from causticmpi.distributed.usage import measure_usage
 from causticmpi.distributed.warmup import warm_up
 from causticmpi.distributed.world import World
@@ -32,12 +33,14 @@ from causticmpi.errors import RunError
 from causticmpi.kernels.embree import ray_buffer
 from causticmpi.kernels.pixels import pixel_order
 from causticmpi.output.directory import UNFINISHED, Claim
+from causticmpi.output.picture import RELMSE_FLOOR
 from causticmpi.output.progress import Progress
 from causticmpi.output.report import provenance
 from causticmpi.render.features import first_hits
 from causticmpi.render.film import Film, quantum_for
 from causticmpi.render.foresight import of_scene
 from causticmpi.render.methods import BIASED, make_method
+from causticmpi.render.precision import Precision
 from causticmpi.render.rounds import Batches, divide, equal_round
 from causticmpi.scene.data import SceneData
 from causticmpi.scene.tracing import camera_array
@@ -131,6 +134,9 @@ class _Run:
         self.pixels = pixel_order(window, config.film.width)
         quantum = quantum_for(scene.brightest)
         self.film, self.pending = Film(slots, quantum), Film(slots, quantum)
+        self.precision = Precision()
+        self.until = None if config.budget.until is None else Until(float(config.budget.until))
+        self.second = Film(slots if self.until else 0, quantum)
         self.limit = float(config.budget.time) if config.budget.time is not None else None
         self.rounds = self.round_passes = 0
         self.stopped_by = 0
@@ -190,8 +196,9 @@ class _Run:
     def trace(self) -> None:
         """Rounds until the budget is spent: each is merged whole or dropped whole, the first is always finished.
 
-        All rounds are of one length and the clock of the budget stands still while pictures are written: whatever lets
-        the cost of past rounds decide on later ones bends the picture (render.rounds).
+        All rounds are of one length, or end at borders known before, and the clock of the budget stands still while
+        pictures are written: whatever lets the cost of past rounds decide on later ones bends the picture
+        (render.rounds).
         """
         self._say("tracing")
         self.round_passes = self._round_length()
@@ -205,11 +212,15 @@ class _Run:
             self.watch.add("tracing", seconds)
             if dropped:
                 break
+            if self.until is not None and self.until.half(self.film.passes):
+                self.second.merge(self.pending)
             self.film.merge(self.pending)
             self.film.passes += passes
             self.rounds += 1
             self.tracing_kept = self._tracing_clock()
             if self.stopped_by:
+                break
+            if self._good_enough():
                 break
             passes = self.world.broadcast(self._next_round())
             if self.snapshots is not None and self.snapshots.due(self.film.passes):
@@ -290,11 +301,32 @@ class _Run:
 
     def _next_round(self) -> int:
         """Passes of the next round; 0 ends the run. Rank 0's word counts."""
+        length = self.round_passes
+        if self.until is not None:
+            length = min(length, self.until.to_border(self.film.passes))
         if self.config.budget.spp is not None:
-            return max(0, min(self.round_passes, self.config.budget.spp - self.film.passes))
+            return max(0, min(length, self.config.budget.spp - self.film.passes))
         if self.state is not None and self.state.covers(self.config.budget):
             return 0
-        return 0 if self.rounds > 0 and self._time_is_over() else self.round_passes
+        return 0 if self.rounds > 0 and self._time_is_over() else length
+
+    def _good_enough(self) -> bool:
+        """Collective. At the end of a group of passes: how well the error is known; and whether that ends the run."""
+        passes = self.film.passes
+        group_ends = self.precision.due(passes)
+        asked = self.until is not None and self.until.asks(passes)
+        if not (group_ends or asked):
+            return False
+        with self.watch.stage("reduce"):
+            sums = self.world.reduce_sum(self.film.sums)
+            second = self.world.reduce_sum(self.second.sums) if asked else None
+        over = False
+        if sums is not None:
+            if group_ends:
+                self.precision.take(sums, passes, RELMSE_FLOOR)
+                self.result.error, self.result.factor = self.precision.error, self.precision.factor
+            over = self.until is not None and second is not None and self.until.decide(sums, second, passes)
+        return bool(self.world.broadcast(over))
 
     def _writing_due(self, round_seconds: float) -> tuple[bool, bool]:
         """Whether a picture, and whether a checkpoint, is to be written between two rounds. Rank 0's word counts."""
@@ -322,7 +354,7 @@ class _Run:
         elapsed = self._elapsed()
         traced = self.film.rays + self.pending.rays - (self.state.rays if self.state is not None else 0)
         rays = traced * self.world.size / max(elapsed - self.tracing_since, 1e-9)
-        self.progress.update(elapsed, self.film.passes, self.film.passes, rays, self.result.error)
+        self.progress.update(elapsed, self.film.passes, self.film.passes, rays, self.result.error, self.result.factor)
 
     def _merge_and_write(self, picture: bool, checkpoint: bool, last: bool = False) -> None:
         """Collective. Merge the sums of all ranks, and have rank 0 write a checkpoint and a picture of them."""
@@ -330,10 +362,15 @@ class _Run:
         with self.watch.stage("reduce"):
             sums = self.world.reduce_sum(self.film.sums)
             counts = self.world.reduce_sum(np.array([self.film.rays, self.film.nonfinite], np.int64))
+            second = self.world.reduce_sum(self.second.sums) if last and self.until is not None else None
             usage = self.world.gather(measure_usage(self.watch, self.batches))
         if self.world.is_root:
             assert sums is not None and counts is not None and usage is not None
-            merged = Merged(sums, self.film.passes, int(counts[0]), int(counts[1]), usage)
+            parts: Sequence[Part] = [(sums, self.film.passes)]
+            if self.until is not None and second is not None:
+                parts = self.until.parts(sums, second, self.film.passes)
+            reached = self.until is not None and self.until.over
+            merged = Merged(parts, self.film.passes, int(counts[0]), int(counts[1]), usage, reached)
             if checkpoint:
                 with self.watch.stage("write"):
                     self.keeper.save(self._state(merged, complete=last and not self.stopped_by), sums, taken, last)
@@ -398,6 +435,7 @@ class _Run:
         words += "s" if self.world.size > 1 else ""
         words += f", {self.config.method} (biased)" if self.config.method in BIASED else ""
         words += "" if error is None else f", estimated relMSE {error:.2g}"
+        words += "" if self.until is None or self.until.over else f" (wanted: {self.until.target:.2g})"
         if self.stopped_by:
             words += f", stopped by signal {self.stopped_by}"
             if not passes:

@@ -11,6 +11,7 @@ import numpy as np
 from causticmpi.config.records import RenderConfig
 from causticmpi.distributed.clock import Stopwatch
 from causticmpi.distributed.prepare import Forecasting
+from causticmpi.distributed.until import Part
 from causticmpi.distributed.usage import Usage, cpu_summary
 from causticmpi.output.directory import UNFINISHED, Claim, write_run, write_whole
 from causticmpi.output.picture import Picture, estimated_relmse
@@ -21,22 +22,27 @@ from causticmpi.render.methods import BIASED
 
 @dataclass(frozen=True)
 class Merged:
-    """Sums over passes and ranks (see render.film). rays: of the merged passes; usage: of each rank."""
+    """Sums over passes and ranks (see render.film), in parts of which the picture is the plain mean: one, unless halves
+    of a run ended apart (distributed.until). passes: of the run; rays: of these; usage: of each rank; reached: whether
+    the wanted error is."""
 
-    sums: np.ndarray
+    parts: Sequence[Part]
     passes: int
     rays: int
     nonfinite: int
     usage: Sequence[Usage]
+    reached: bool = False
 
 
 class Result:
-    """The files of one run. error: estimated relMSE of the last picture, None as long as it is unknown."""
+    """The files of one run. error: estimated relMSE, None as long as it is unknown; factor: the true one is within
+    [error / factor, error * factor], see render.precision, None as long as that is unknown."""
 
     def __init__(self, config: RenderConfig, claim: Claim, provenance: Mapping[str, Any], features: np.ndarray) -> None:
         """features: first hits, (slots, 7) float32: albedo, normal, depth."""
         self.config, self.claim, self.provenance, self.features = config, claim, provenance, features
         self.error: float | None = None
+        self.factor: float | None = None
 
     @property
     def directory(self) -> Path:
@@ -77,6 +83,11 @@ class Result:
             provenance=self.provenance,
             warnings=forecasting.warnings,
         )
+        if self.error is not None and self.factor is not None:
+            report["estimated_relmse_interval"] = [self.error / self.factor, self.error * self.factor]
+        if self.config.budget.until is not None:
+            target = float(self.config.budget.until)
+            report["until"] = {"relmse": target, "reached": merged.reached}
         report["forecast"] = {
             "photons": forecasting.photons,
             "particles": forecasting.emitted,
@@ -90,7 +101,11 @@ class Result:
         film = self.config.film
         x0, y0, x1, y1 = film.crop or (0, 0, film.width, film.height)
         shape = (y1 - y0, x1 - x0)
-        diffusive, caustic, variance = (a.reshape(*shape, 3) for a in resolve(merged.sums, merged.passes))
+        resolved = [resolve(sums, passes) for sums, passes in merged.parts]
+        diffusive, caustic, variance = (
+            np.mean(layer, axis=0).reshape(*shape, 3) for layer in zip(*resolved, strict=True)
+        )
+        variance /= len(resolved)
         features = self.features.reshape(*shape, 7)
         return Picture(
             rgb=diffusive + caustic,

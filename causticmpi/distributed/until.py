@@ -62,7 +62,12 @@ class Until:
         for asked, other in ((0, 1), (1, 0)):
             if self._ended[other] is None and self._error(halves[asked], each) <= self.target:
                 self._ended[other] = (halves[other].copy(), each)
-        return None not in self._ended
+        return self.over
+
+    @property
+    def over(self) -> bool:
+        """Whether both halves have ended each other."""
+        return all(self._ended)
 
     def _error(self, sums: np.ndarray, passes: int) -> float:
         """relMSE of a picture of twice as many passes, by this half of them."""

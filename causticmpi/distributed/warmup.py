@@ -13,7 +13,7 @@ from causticmpi.preprocess import directions, forecast, k_means, photon_map, pho
 from causticmpi.preprocess.forecast import ForecastMaps, build_forecast
 from causticmpi.preprocess.photon_map import PhotonMap, build_photon_map, no_photon_map
 from causticmpi.preprocess.photons import CausticPoints, shoot_photons
-from causticmpi.render import features, film
+from causticmpi.render import features, film, precision
 from causticmpi.render.film import Film
 from causticmpi.render.methods import make_method
 from causticmpi.scene.data import SceneData
@@ -35,6 +35,7 @@ KERNELS = [
     directions._companion_cosines,
     kdtree.build_trees,
     film._accumulate,
+    precision._group_variance,
     features.first_hits,
 ]
 """Every kernel of the program, asked after their cache misses."""
@@ -103,6 +104,9 @@ def warm_up(config: RenderConfig, root: bool, forecasting: bool) -> bool:
     method.begin_pass(0)
     pass_film = np.zeros((16, 6), np.float32)
     method.trace(pixels, pass_film)
-    Film(16, 2.0**-40).add_pass(pass_film)
+    sums = Film(16, 2.0**-40)
+    sums.add_pass(pass_film)
+    if root:
+        precision.Precision().take(sums.sums, 2, 1.0)
     scene.embree.close()
     return compiled_anew(KERNELS) > before

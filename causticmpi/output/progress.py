@@ -66,16 +66,18 @@ class Progress:
         spp: float,
         rays_per_second: float,
         estimated_relmse: float | None,
+        factor: float | None = None,
     ) -> None:
         """Tell the state of the picture; call it as often as is handy.
 
         elapsed: wall-clock seconds of the budget; passes, spp: done so far; rays_per_second: of all ranks;
-        estimated_relmse: None while it is unknown (fewer than two passes).
+        estimated_relmse: None while it is unknown (fewer than two passes); factor: that it may be off by.
         """
         left = self._seconds_left(elapsed, spp)
         time_left = "time left unknown" if left is None else f"{clock(left)} left"
         rate = f"{_si(rays_per_second)}rays/s"
         error = "unknown" if estimated_relmse is None else f"{estimated_relmse:.3g}"
+        error += "" if estimated_relmse is None or factor is None else f" within x {factor:.2f}"
         if self._bar is not None:  # short: it shares 80 columns with the bar
             samples = f"{spp:g} spp" if self._total_spp is None else f"{spp:g}/{self._total_spp} spp"
             status = f"{time_left}, {samples}, {rate}, relMSE {error}"

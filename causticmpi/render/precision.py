@@ -68,6 +68,12 @@ class Precision:
         self.passes.append(own)
 
     @property
+    def error(self) -> float:
+        """Estimated relMSE of the mean of all passes that are in groups; there is one at least."""
+        done = sum(self.passes)
+        return float(np.dot(self.errors, self.passes)) / done**2
+
+    @property
     def factor(self) -> float | None:
         """f such that the true relMSE lies within [estimate / f, estimate * f], with CONFIDENCE where errors of groups
         are normal, which fireflies are not; None for fewer than FEWEST_GROUPS groups."""
