@@ -75,7 +75,7 @@ class Page(Record):
     truth: Truth = Truth()
     set: Settings = {}
     side: PositiveInt = 48
-    seconds: Positive = 2.0
+    seconds: Positive = 3.0
     batches: Annotated[int, Meta(ge=4)] = 16
     equal_time: Positive = 60.0
     baseline: str | None = None

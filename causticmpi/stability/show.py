@@ -37,7 +37,7 @@ def table(name: str, page: Page, rows: Sequence[Row]) -> Table:
         columns,
         tuple(_cells(row) for row in rows),
         f"relMSE: what {page.equal_time:g} CPU seconds would leave, preprocess included, from the variance over "
-        f"{page.batches} batches; biased methods add their squared bias. p: Welch's t-test of 48 means of squares of "
+        f"{page.batches} batches; biased methods add their squared bias. p: Welch's t-test of the mean and of 48 means of squares of "
         "the film, Sidak-corrected; resolution: standard error of the difference of the pictures' means. Blind: a path "
         "tracer that would have met the light too rarely for its error or its mean to be believed.",
     )

@@ -1,0 +1,199 @@
+"""The stability laboratory: judgements follow from figures, failing cells are named, a small report holds it all."""
+
+import math
+import re
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from rendering import REPOSITORY
+
+from causticmpi.errors import InputError
+from causticmpi.scene.load import load_scene
+from causticmpi.stability import sweep, verdicts
+from causticmpi.stability.cell import Measured
+from causticmpi.stability.judge import Row, hits, judge
+from causticmpi.stability.lies import LIES
+from causticmpi.stability.records import Page
+from causticmpi.stability.run import main, read_pages
+from causticmpi.stability.scenes import TEMPLATES, build, write_scene
+
+PAGES = sorted((REPOSITORY / "configs" / "stability").glob("*.yaml"))
+BATCHES = 16
+
+
+def page(**more: object) -> Page:
+    plain = {
+        "title": "T", "question": "Q", "room": {"template": "box"}, "baseline": "pt",
+        "contenders": [{"label": "pt", "set": {"method": "pt"}}, {"label": "cf", "set": {"method": "iws+cf"}}],
+        "sweep": {"parameter": "scene.light", "name": "light", "values": [1.0, 0.1]},
+        "truth": {"rivals": [{"label": "rival", "set": {"method": "pt"}}]},
+    }  # fmt: skip
+    return msgspec.convert({**plain, **more}, Page)
+
+
+def measured(label: str, method: str, mean: float = 1.0, noise: float = 0.1, seed: int = 1, **more: object) -> Measured:
+    """A made-up measurement: 8 x 8 pixels, batches of normal deviation `noise` about `mean`."""
+    random = np.random.default_rng(seed)
+    pictures = mean + noise * random.normal(size=(BATCHES, 8, 8, 3))
+    blocks = pictures.reshape(BATCHES, 4, 2, 4, 2, 3).mean(axis=(2, 4)).reshape(BATCHES, -1)
+    plain = {
+        "label": label, "method": method, "biased": False, "passes": BATCHES, "seconds": 1.0, "preprocess": 0.0,
+        "rays": 1000, "slowest": 1.0, "memory_mb": 100.0, "nonfinite": 0, "rgb": pictures.mean(axis=0),
+        "variance": pictures.var(axis=0, ddof=1) / BATCHES, "blocks": blocks, "caustic": 0.1, "brightest": 1.0,
+        "radius": 0.1, "bound": 1.0,
+    }  # fmt: skip
+    return Measured(**{**plain, **more})
+
+
+def test_a_wrong_mean_is_found_and_a_right_one_is_not() -> None:
+    rivals = [measured("rival", "pt", seed=9)]
+    right, wrong = (judge(page(), 1.0, 1.0, [measured("cf", "iws+cf", mean)], rivals, 0.1)[0] for mean in (1.0, 1.03))
+    assert right.verdict == "" and right.p > 1e-3 and right.against == "rival"
+    assert wrong.verdict == "WRONG" and wrong.difference == pytest.approx(0.03, abs=0.01)
+
+
+def test_error_at_equal_time_counts_tracing_preprocess_and_bias() -> None:
+    rival = [measured("rival", "pt", seed=9, noise=1e-3)]
+    made = page(equal_time=10.0)
+    (plain,) = judge(made, 1.0, 1.0, [measured("cf", "iws+cf")], rival, 0.1)
+    assert plain.relmse == pytest.approx(0.1**2 / BATCHES / 1.01 / 10.0, rel=0.2)
+    (late,) = judge(made, 1.0, 1.0, [measured("cf", "iws+cf", preprocess=5.0)], rival, 0.1)
+    assert late.relmse == pytest.approx(2 * plain.relmse)
+    (never,) = judge(made, 1.0, 1.0, [measured("cf", "iws+cf", preprocess=11.0)], rival, 0.1)
+    assert never.relmse == math.inf and "preprocess exceeds" in never.verdict
+    (biased,) = judge(made, 1.0, 1.0, [measured("pm", "iws+pm", mean=1.1, biased=True)], rival, 0.1)
+    assert biased.verdict == "biased, as it says" and biased.bias == pytest.approx(0.01 / 1.01, rel=0.1)
+    assert biased.relmse > biased.bias
+
+
+def test_who_never_meets_the_light_is_not_believed() -> None:
+    blind = measured("pt", "pt", brightest=1e6)
+    assert hits(blind, 0.1) < 1
+    rows = judge(
+        page(), 1.0, 1.0, [blind, measured("cf", "iws+cf", noise=0.3)], [measured("rival", "pt", brightest=1e6)], 0.1
+    )
+    assert rows[0].verdict.startswith("blind") and not rows[0].trusted
+    assert rows[1].verdict == "not tested: no rival sees enough"  # nor does it lose to a blind one
+    missing = measured("cf", "iws+cf", caustic=0.01)
+    (row,) = judge(page(constant_caustics=True), 1.0, 1.0, [missing], [measured("rival", "pt")], 0.1)
+    assert row.verdict == "misses 90 % of the caustics"
+
+
+def test_losing_to_plain_sampling_is_named() -> None:
+    found = [measured("pt", "pt"), measured("cf", "iws+cf", noise=0.2, seed=2)]
+    rows = judge(page(), 1.0, 1.0, found, [measured("rival", "pt", seed=9)], 0.1)
+    assert rows[1].verdict.startswith("loses to pt: error x 3") or rows[1].verdict.startswith("loses to pt: error x 4")
+
+
+def test_light_where_none_can_be_has_leaked() -> None:
+    made = page(truth={"exact": 0.0})
+    dark, lit = measured("cf", "iws+cf", 0.0, 0.0), measured("cf", "iws+cf", 2e-4, 0.0)
+    assert judge(made, 1.0, 1.0, [dark], [], 0.0)[0].verdict == ""
+    assert judge(made, 1.0, 1.0, [lit], [], 0.0)[0].verdict == "leaks 0.0002"
+
+
+def row(value: float, label: str, relmse: float, **more: object) -> Row:
+    return Row(**{"value": value, "x": value, "label": label, "biased": False, "relmse": relmse, "p": 0.5, "whole": 1.0,
+                  "resolution": 0.01, "difference": 0.001, **more})  # fmt: skip
+
+
+def test_verdicts_follow_the_figures() -> None:
+    rows = [row(1.0, "pt", 1e-3), row(1.0, "cf", 1e-2), row(0.1, "pt", 1.0), row(0.1, "cf", 0.05)]
+    said = verdicts.verdict(page(), rows)
+    assert "cf is x 20 as efficient as pt at light 0.1 and x 0.1 at light 1" in said
+    assert "Unbiased within noise in 4 of 4 tested cells" in said
+    rows[3] = row(0.1, "cf", 0.05, verdict="WRONG")
+    assert "in 3 of 4 tested cells" in verdicts.verdict(page(), rows) and "WRONG in cf at 0.1" in verdicts.verdict(
+        page(), rows
+    )
+    assert verdicts.failures(rows) == ["cf at 0.1: WRONG"]
+    made = page(reads="setting", sweep={"parameter": "iws.paths", "name": "paths", "values": [1.0, 8.0], "start": 8.0})
+    said = verdicts.verdict(made, [row(1.0, "cf", 0.2), row(8.0, "cf", 0.5)])
+    assert "least error at paths 1 (relMSE 0.2), the default 8 has x 2.5 of it" in said
+
+
+@pytest.mark.parametrize("template", TEMPLATES)
+def test_every_template_loads_at_any_place_and_size(template: str, tmp_path: Path) -> None:
+    here = load_scene(write_scene(build(template, {}), tmp_path / "a.yaml"))
+    there = load_scene(write_scene(build(template, {"scale": 10, "offset": 5}), tmp_path / "b.yaml"))
+    np.testing.assert_allclose(there.vertices, 10 * here.vertices + 5, rtol=1e-5)
+    np.testing.assert_allclose(there.spheres[:, 3], 10 * here.spheres[:, 3], rtol=1e-5)
+
+
+def test_pages_that_come_along_are_sound() -> None:
+    pages = read_pages(PAGES)
+    assert len(pages) >= 20 and len({loaded.name for loaded in pages}) == len(pages)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"room": {"template": "boks"}}, 'found "boks"; allowed: box'),
+        ({"sweep": {"parameter": "scene.lamp", "name": "l", "values": [1]}}, 'found the parameter "lamp"'),
+        ({"sweep": {"parameter": "iws.bond", "name": "b", "values": [1]}}, "iws.bond = 1"),
+        ({"sweep": {"parameter": "photons", "name": "p", "values": ["fibs"]}}, "allowed: none, wrong light"),
+        ({"baseline": "ptt"}, "allowed: pt, cf"),
+    ],
+)
+def test_pages_that_could_not_run_are_refused(change: dict, words: str) -> None:
+    with pytest.raises(InputError, match=re.escape(words)):
+        sweep.check_page(page(**change), Path("."))
+
+
+def test_photons_that_are_no_numbers_are_refused_others_taken(tmp_path: Path) -> None:
+    made = page(
+        sweep={"parameter": "photons", "name": "lie", "values": list(LIES)}, side=8, seconds=0.02, batches=4,
+        contenders=[{"label": "cf", "set": {"method": "iws+cf", "forecast.photons": 300, "forecast.clusters": 4}}],
+        baseline=None,
+    )  # fmt: skip
+    for index, lie in enumerate(LIES):
+        point = sweep.measure_point(made, tmp_path, tmp_path, index, 1.0)
+        assert bool(point.failed) == (lie in ("nan", "infinite")), lie
+        assert all("not finite" in why for why in point.failed.values())
+        assert not any(m.nonfinite for m in point.found)
+
+
+SMALL = """
+title: '{title}'
+question: '?'
+kind: {kind}
+room: {{template: box, set: {{light: 0.5}}}}
+set: {{forecast.photons: 300, forecast.clusters: 4}}
+side: 8
+seconds: 0.05
+batches: 4
+runs: 8
+passes: 64
+samples: 1000
+contenders:
+  - {{label: pt, set: {{method: pt}}}}
+  - {{label: mixture, set: {{method: iws+cf}}}}
+"""
+SWEEP = """
+sweep: {parameter: scene.light, name: light, values: [0.5, 0]}
+baseline: pt
+truth: {rivals: [{label: rival, set: {method: pt}}]}
+"""
+
+
+def test_a_small_report(tmp_path: Path) -> None:
+    """One page of each kind: a chart, a table and a verdict with figures; needs nothing beside itself."""
+    files = []
+    for kind in ("sweep", "coverage", "until", "long"):
+        files.append(tmp_path / f"{kind}.yaml")
+        files[-1].write_text(SMALL.format(title=kind, kind=kind) + (SWEEP if kind == "sweep" else ""))
+    out = tmp_path / "out"
+    assert main([*map(str, files), "--out", str(out), "-j", "1"]) == 0
+    html = (out / "report.html").read_text()
+    assert html.count("data:image/png") == 4 and not re.search(r'(?:src|href)="(?!data:|#)', html)
+    assert "a light needs an area" in html  # the point light is refused, and the cell named
+    for kind in ("sweep", "coverage", "until", "long"):
+        assert (out / "tables" / f"{kind}.csv").stat().st_size > 0 and (out / "figures" / f"{kind}.png").exists()
+    assert (
+        "within a factor 1.25 of the true error" in html
+        and "runs until relMSE" in html
+        and "after 1,000 samples" in html
+    )
+    load_scene(out / "sweep" / "scenes" / "0.yaml")
