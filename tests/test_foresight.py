@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+import yaml
 from rendering import REPOSITORY, make_config, prepare, scene_from
 
 from causticmpi.cli.main import main
@@ -13,6 +14,7 @@ from causticmpi.distributed.world import SerialWorld
 from causticmpi.render.foresight import of_photons, of_scene, smallest_light
 from causticmpi.scene.content import extent
 from causticmpi.scene.load import load_scene
+from causticmpi.stability.scenes import build
 
 CONFIGS = sorted((REPOSITORY / "configs").glob("*.yaml"))
 ROOM = """
@@ -101,6 +103,18 @@ def test_a_light_is_what_hangs_together(tmp_path: Path) -> None:
     scene = room(tmp_path, 0.1)
     assert smallest_light(scene) == pytest.approx(0.01)
     assert extent(scene) == pytest.approx((2**2 + 2**2 + 2**2) ** 0.5)
+
+
+def test_far_from_the_origin(tmp_path: Path) -> None:
+    far, near = (
+        scene_from(text, tmp_path)
+        for text in (
+            yaml.safe_dump(build("box", {"offset": offset}), sort_keys=False) for offset in (100_000, 10_000)
+        )
+    )  # fmt: skip
+    (warning,) = of_scene(make_config(method="iws+cf"), far)
+    assert "from the origin" in warning and "the picture will be wrong" in warning
+    assert of_scene(make_config(method="iws+cf"), near) == ()
 
 
 def test_check_tells(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,7 +1,7 @@
 """What can be told to go badly before the budget is spent, and what to do about it: one sentence each.
 
-Nothing here stops a run, and none of it makes a picture wrong: it would be noisy, or slow. The thresholds are where the
-pages of configs/stability see the trouble begin.
+Nothing here stops a run, and none of it but too large coordinates makes a picture wrong: it would be noisy, or slow.
+The thresholds are where the pages of configs/stability see the trouble begin.
 """
 
 import math
@@ -23,6 +23,8 @@ SHARP, SHINY = 1e4, 0.1
 """Exponent and albedo of a lobe that virtual lights cannot light: all of it is left to compensation."""
 LOSSLESS, LARGE = 0.8, 0.1
 """Reflectance of facing mirrors worth a word; sides of a mirror, over the scene's extent, that count."""
+FAR, TOO_FAR = 1e4, "where float32 coordinates are too coarse for it"
+"""Distance from the origin over the scene's extent."""
 PARTICLES_PER_PHOTON = 100
 """Emitted for one caustic point: beyond it hardly any light takes part in caustics."""
 PHOTONS_PER_CLUSTER = 10
@@ -46,7 +48,7 @@ def of_scene(config: RenderConfig, scene: SceneData) -> tuple[str, ...]:
         )
     elif specular and config.method in FORECASTING:
         made += _settings(config)
-    return (*made, *_mirrors(scene))
+    return (*made, *_mirrors(scene), *_place(scene))
 
 
 def of_photons(photons: int, wanted: int, emitted: int) -> tuple[str, ...]:
@@ -153,6 +155,17 @@ def _mirrors(scene: SceneData) -> Iterator[str]:
         yield (
             f"mirrors of reflectance {reflectance:.2g} face each other: paths between them take {length} bounces; "
             "turn one of them, or lower the reflectance, if passes are slow"
+        )
+
+
+def _place(scene: SceneData) -> Iterator[str]:
+    """Far from the origin float32 coordinates are coarse: walls move, and rays start behind them."""
+    points = np.concatenate([scene.vertices, scene.spheres[:, :3]])
+    away = float(np.abs(points).max()) / extent(scene)
+    if away > FAR:
+        yield (
+            f"the scene lies {away:.1g} times its extent from the origin, {TOO_FAR}: the picture will be wrong; "
+            "move scene and camera nearer to the origin"
         )
 
 

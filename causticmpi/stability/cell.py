@@ -21,6 +21,7 @@ from causticmpi.kernels.embree import ray_buffer
 from causticmpi.kernels.pixels import pixel_order
 from causticmpi.preprocess.forecast import ForecastMaps, build_forecast
 from causticmpi.preprocess.photons import shoot_photons
+from causticmpi.render.foresight import of_scene
 from causticmpi.render.methods import BIASED, FORECASTING, Method, automatic_bound, make_method
 from causticmpi.render.rounds import PILOT_PASS
 from causticmpi.scene.data import SceneData
@@ -38,7 +39,8 @@ class Measured:
 
     blocks (batches, k): means of squares of the film; caustic: mean luminance of L_c; seconds: CPU time of tracing,
     `preprocess` apart; slowest: the longest pass over the mean one; brightest: largest radiance of a light;
-    radius: the search radius used (nan: none); bound: what `auto` means for b.
+    radius: the search radius used (nan: none); bound: what `auto` means for b;
+    warnings: that a run would give beforehand.
     """
 
     label: str
@@ -58,6 +60,7 @@ class Measured:
     brightest: float
     radius: float
     bound: float
+    warnings: tuple[str, ...] = ()
 
     @property
     def pass_seconds(self) -> float:
@@ -198,6 +201,7 @@ def measure(bench: Bench, label: str, seconds: float, batches: int) -> Measured:
         blocks=np.array([block_means(mean, max(1, shape[0] // BLOCKS)) for mean in means]),
         caustic=caustic,
         brightest=bench.scene.brightest,
-        radius=float(bench.maps.radius) if bench.maps.codebook.shape[1] else float("nan"),
+        radius=float(getattr(bench.maps, "radius", float("nan"))),
         bound=automatic_bound(bench.scene.extent),
+        warnings=of_scene(bench.config, bench.scene.data),
     )

@@ -5,9 +5,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import uniform_filter
 
 from causticmpi.compare.statistics import agreement
 from causticmpi.output.picture import RELMSE_FLOOR
+from causticmpi.render.foresight import TOO_FAR
 from causticmpi.stability.cell import Measured
 from causticmpi.stability.records import Page, Value
 
@@ -19,6 +21,8 @@ SHARE_OF_LIGHT = 0.3
 """Of the light's radiance in a pixel that one such hit brings: albedo and Fresnel losses."""
 BY_CHANCE = ("pt", "pt-brute")
 """Methods that meet a light behind specular surfaces by chance alone."""
+SMOOTHING = 3
+"""Pixels: side of the square over which signed errors are averaged."""
 LOSS = 1.05
 """A contender whose error is this many times the baseline's has lost to it."""
 
@@ -30,7 +34,8 @@ class Row:
     relmse: at the page's equal time, the bias of biased methods included; share: of the squared error that the worst
     pixel holds; bias: squared, relative, nan for unbiased ones; p, z: of the test against the truth (nan: not tested);
     whole: z of the picture's mean; difference: relative, of the means; resolution: standard error of that difference;
-    rays: per sample; caustic: mean luminance of L_c; verdict: what failed, empty if nothing did.
+    rays: per sample; caustic: mean luminance of L_c; signed (H, W): smoothed relative error of biased ones; warnings:
+    given beforehand; verdict: what failed, empty if nothing did.
     """
 
     value: Value
@@ -54,7 +59,9 @@ class Row:
     caustic: float = math.nan
     verdict: str = ""
     against: str = ""
+    warnings: tuple[str, ...] = ()
     rgb: np.ndarray | None = None
+    signed: np.ndarray | None = None
 
     @property
     def trusted(self) -> bool:
@@ -116,8 +123,9 @@ def _row(
     weight = 1 / (picture**2 + RELMSE_FLOOR)
     own = (m.variance * weight).mean(axis=-1)
     left = page.equal_time - m.preprocess
-    bias = math.nan
+    bias, signed = math.nan, None
     if m.biased and rival is not None:
+        signed = uniform_filter(((m.rgb - rival.rgb) * np.sqrt(weight)).mean(axis=-1), SMOOTHING, mode="nearest")
         bias = float((((m.rgb - rival.rgb) ** 2 - m.variance - rival.variance) * weight).mean())
     relmse = float(own.mean()) * m.seconds / left if left > m.pass_seconds else math.inf
     p = z = whole = difference = resolution = math.nan
@@ -134,7 +142,7 @@ def _row(
     elif page.truth.exact == 0 and difference > 0:
         verdict = f"leaks {difference:.1g}"
     elif p < ALPHA and not m.biased:
-        verdict = "WRONG"
+        verdict = "wrong, as is warned" if any(TOO_FAR in warning for warning in m.warnings) else "WRONG"
     elif p < ALPHA:
         verdict = "biased, as it says"
     elif page.constant_caustics and misses(m, caustic):
@@ -150,7 +158,7 @@ def _row(
         share=float(own.max() / max(own.sum(), 1e-300)), bias=bias, p=p, z=z, whole=whole, difference=difference,
         resolution=resolution, passes=m.passes, pass_seconds=m.pass_seconds, preprocess=m.preprocess,
         rays=m.rays / m.samples, slowest=m.slowest, memory_mb=m.memory_mb, caustic=m.caustic, verdict=verdict,
-        against=against, rgb=m.rgb.astype(np.float32),
+        against=against, rgb=m.rgb.astype(np.float32), signed=signed, warnings=m.warnings,
     )  # fmt: skip
 
 

@@ -29,7 +29,7 @@ def table(name: str, page: Page, rows: Sequence[Row]) -> Table:
     columns = (
         page.sweep.name, "method", f"relMSE at {page.equal_time:g} s", "bias² (relative)", "passes", "ms / pass",
         "rays / sample", "mean L_c", "preprocess [s]", "slowest / mean pass", "memory [MB]", "worst pixel's share",
-        "tested against", "p", "z of mean", "difference", "resolution", "verdict",
+        "tested against", "p", "z of mean", "difference", "resolution", "verdict", "warned beforehand",
     )  # fmt: skip
     return Table(
         name,
@@ -37,8 +37,8 @@ def table(name: str, page: Page, rows: Sequence[Row]) -> Table:
         columns,
         tuple(_cells(row) for row in rows),
         f"relMSE: what {page.equal_time:g} CPU seconds would leave, preprocess included, from the variance over "
-        f"{page.batches} batches; biased methods add their squared bias. p: Welch's t-test of the mean and of 48 means of squares of "
-        "the film, Sidak-corrected; resolution: standard error of the difference of the pictures' means. Blind: a path "
+        f"{page.batches} batches; biased methods add their squared bias. p: Welch's t-test of the mean and 48 means of "
+        "squares, Sidak-corrected; resolution: standard error of the difference of the pictures' means. Blind: a path "
         "tracer that would have met the light too rarely for its error or its mean to be believed.",
     )
 
@@ -51,7 +51,7 @@ def _cells(row: Row) -> tuple[str, ...]:
         number(1e3 * row.pass_seconds), number(row.rays), number(row.caustic), number(row.preprocess, 2),
         number(row.slowest, 2), number(row.memory_mb), _percent(row.share), row.against or NOTHING, number(row.p, 2),
         f"{row.whole:+.2f}" if math.isfinite(row.whole) else NOTHING, _percent(row.difference, "+"),
-        _percent(row.resolution), row.verdict[:LONGEST],
+        _percent(row.resolution), row.verdict[:LONGEST], "; ".join(row.warnings)[:LONGEST],
     )  # fmt: skip
 
 
@@ -130,7 +130,7 @@ def _curves(error: "Axes", deviation: "Axes", rows: Sequence[Row], place: dict[s
     for row in rows:
         at = place[shown(row.value)]
         if row.tested and math.isfinite(row.whole):
-            wrong = row.verdict == "WRONG" or row.verdict.startswith("leaks")
+            wrong = row.verdict.lower().startswith(("wrong", "leaks"))
             marker = "X" if wrong else "o"
             deviation.plot(at, float(np.clip(row.whole, -FAR, FAR)), marker, color=colour, markersize=9 if wrong else 5)
         else:
@@ -138,7 +138,8 @@ def _curves(error: "Axes", deviation: "Axes", rows: Sequence[Row], place: dict[s
 
 
 def _strip(figure: "SubFigure", page: Page, rows: Sequence[Row]) -> None:
-    """The last contender's picture at each value; a cell without a picture says why."""
+    """The last contender's picture at each value, or what is wrong with it if it is biased; a cell without a picture
+    says why."""
     assert page.sweep is not None
     last = page.contenders[-1].label
     own = [row for row in rows if row.label == last]
@@ -148,6 +149,9 @@ def _strip(figure: "SubFigure", page: Page, rows: Sequence[Row]) -> None:
         cell.set_title(shown(row.value), fontsize=9)
         if row.rgb is None:
             cell.text(0.5, 0.5, row.verdict.partition(":")[0], ha="center", va="center", fontsize=8, wrap=True)
+        elif row.signed is not None:
+            cell.imshow(row.signed, vmin=-0.5, vmax=0.5, cmap="RdBu_r", interpolation="nearest")
         else:
             cell.imshow(srgb_bytes(row.rgb), interpolation="nearest")
-    cells[0].set_ylabel(last, fontsize=8)
+    signed = any(row.signed is not None for row in own)
+    cells[0].set_ylabel(f"{last}:\ntoo bright red,\ntoo dark blue" if signed else last, fontsize=8)

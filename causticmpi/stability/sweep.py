@@ -98,7 +98,7 @@ def _rows(page: Page, point: Point, rivals: Sequence[Measured], caustic: float) 
         return [refused(value, position(value), c.label, f"refused: {point.refusal}") for c in page.contenders]
     x = position(value)
     if value == "auto" and point.found:
-        x = {"iws.bound": point.found[0].bound, "forecast.radius": point.found[0].radius}.get(page.sweep.parameter, x)
+        x = point.found[0].bound if page.sweep.parameter == "iws.bound" else point.found[0].radius
     rows = judge(page, value, x, point.found, point.rivals or rivals, caustic) if point.found else []
     rows += [refused(value, x, label, f"refused: {why}") for label, why in point.failed.items()]
     order = [c.label for c in page.contenders]

@@ -30,13 +30,17 @@ def unbiasedness(rows: Sequence[Row]) -> str:
     wrong = [row for row in tested if row.verdict == "WRONG"]
     if not tested:
         return ""
-    finite = [row for row in tested if math.isfinite(row.whole)]
+    finite = [row for row in tested if row.verdict != "wrong, as is warned" and math.isfinite(row.whole)]
     largest = max((abs(row.whole) for row in finite), default=math.inf)
     resolution = float(np.median([row.resolution for row in tested]))
-    said = f"Unbiased within noise in {len(tested) - len(wrong)} of {len(tested)} tested cells"
+    right = [row for row in tested if not row.verdict.lower().startswith(("wrong", "leaks"))]
+    said = f"Unbiased within noise in {len(right)} of {len(tested)} tested cells"
     said += f" (largest |z| of a picture's mean {largest:.1f}, median resolution {100 * resolution:.2g} %)"
     if wrong:
         said += "; WRONG in " + ", ".join(f"{row.label} at {shown(row.value)}" for row in wrong)
+    warned = [row for row in tested if row.verdict == "wrong, as is warned"]
+    if warned:
+        said += "; wrong, as is warned, in " + ", ".join(f"{row.label} at {shown(row.value)}" for row in warned)
     untested = len(claimed) - len(tested)
     return said + (f"; {untested} not tested." if untested else ".")
 
