@@ -17,6 +17,7 @@ import pytest
 from rendering import make_config
 
 from causticmpi.distributed import job
+from causticmpi.distributed.until import Until
 from causticmpi.distributed.world import SerialWorld
 from causticmpi.render import rounds
 from causticmpi.render.film import Film
@@ -94,7 +95,8 @@ def bias(estimate: Callable[[np.ndarray], float], passes: int, runs: int = RUNS)
 class SerialRun(job._Run):
     """The run's own loop and decisions, without a scene, files or a terminal."""
 
-    def __init__(self, toy: Toy, budget: float) -> None:
+    def __init__(self, toy: Toy, budget: float, length: int = 1, until: Until | None = None) -> None:
+        self.length, self.until, self.second = length, until, Film(1, QUANTUM)
         self.world, self.flag = SerialWorld(), SimpleNamespace(raised=0)
         self.config = make_config(method="pt", budget={"time": budget})
         self.watch = SimpleNamespace(elapsed=lambda: 0.0, add=lambda name, seconds: None)
@@ -107,7 +109,10 @@ class SerialRun(job._Run):
     def _say(self, stage: str) -> None: ...
 
     def _round_length(self) -> int:
-        return 1  # the pilot would wind the toy's clock on
+        return self.length  # the pilot would wind the toy's clock on
+
+    def _good_enough(self) -> bool:
+        return False  # the time is over first
 
     def _time_for_tracing(self) -> float:
         return self.limit
@@ -179,6 +184,21 @@ def test_a_resumed_run(clock: Clock) -> None:
         return second.film.sums[0, 0] / second.film.passes
 
     found, error = bias(estimate, 14, 2 * RUNS)
+    assert abs(found) < CERTAIN * error
+    assert error < 0.003
+
+
+def test_rounds_that_end_at_known_borders(clock: Clock) -> None:
+    """Rounds of three passes, shorter where a half of the passes ends (distributed.until): unlike, but known before."""
+    toy = Toy(clock)
+
+    def estimate(value: np.ndarray) -> float:
+        clock.now, toy.value = 0.0, value
+        run = SerialRun(toy, 2 * BUDGET, 3, Until(1e-9))
+        run.trace()
+        return run.film.sums[0, 0] / run.film.passes
+
+    found, error = bias(estimate, 27)
     assert abs(found) < CERTAIN * error
     assert error < 0.003
 

@@ -67,7 +67,8 @@ def make_report(files: Sequence[Path], out: Path, scale: float, processes: int, 
             print(f"{clock(time.monotonic() - began)} {loaded.name}: {section.paragraphs[1]}", flush=True)
             sections.append(section)
             wrong += failed
-    _write(out, sections, scale, processes, time.monotonic() - began, command)
+            # After every page: a report that is stopped holds what has been measured.
+            _write(out, sections, scale, processes, time.monotonic() - began, command)
     print(out / REPORT)
     return wrong
 

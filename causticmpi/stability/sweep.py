@@ -110,10 +110,16 @@ def scene_file(page: Page, place: Path, out: Path, index: int) -> Path:
     if page.room.template is None:
         assert page.room.file is not None
         return place / page.room.file
+    scene = build(page.room.template, _parameters(page, index))
+    return write_scene(scene, out / "scenes" / f"{index}.yaml")
+
+
+def _parameters(page: Page, index: int) -> dict[str, Any]:
+    """Of the template at one value of the sweep."""
     parameters = dict(page.room.set)
     if page.sweep is not None and page.sweep.parameter.startswith("scene."):
-        parameters[page.sweep.parameter.removeprefix("scene.")] = page.sweep.values[index]
-    return write_scene(build(page.room.template, parameters), out / "scenes" / f"{index}.yaml")
+        parameters[page.sweep.parameter.removeprefix("scene.")] = _plain(page.sweep.values[index])
+    return parameters
 
 
 def check_page(page: Page, place: Path) -> None:
@@ -131,10 +137,7 @@ def check_page(page: Page, place: Path) -> None:
         if page.sweep and page.sweep.parameter == "photons" and value not in LIES:
             raise InputError(f'sweep.values: found "{value}"; allowed: {", ".join(LIES)}')
         if page.room.template is not None:
-            parameters = dict(page.room.set)
-            if page.sweep and page.sweep.parameter.startswith("scene."):
-                parameters[page.sweep.parameter.removeprefix("scene.")] = page.sweep.values[index]
-            build(page.room.template, parameters)
+            build(page.room.template, _parameters(page, index))
         for contender in (*page.contenders, *page.truth.rivals):
             settings = {**page.set, **_config_value(page.sweep, value), **contender.set}
             try:
@@ -148,8 +151,12 @@ def check_page(page: Page, place: Path) -> None:
 def _config_value(sweep: Sweep | None, value: Value) -> dict[str, Any]:
     if sweep is None or sweep.parameter == "photons" or sweep.parameter.startswith("scene."):
         return {}
-    # YAML reads 10 as an integer and 1e5 as a float; a count stays one.
-    return {sweep.parameter: int(value) if isinstance(value, float) and value.is_integer() else value}
+    return {sweep.parameter: _plain(value)}
+
+
+def _plain(value: Value) -> Value | int:
+    """A whole number as an integer: the record of a page makes all numbers floats."""
+    return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
 def position(value: Value) -> float:
