@@ -44,6 +44,8 @@ NOTE = (
     "radiance: difference to the reference's, with its standard error where pixels are independent. Depth 24, box "
     "filter, no clamping. LuxCore has spheres as meshes."
 )
+SET_HERE = ("scene", "method", "budget", "seed", "output")
+"""Keys of a config that the comparison sets, or that change no picture."""
 NEEDED = {"mitsuba": ("mitsuba",), "luxcore": ("pyluxcore",), "ours": ()}
 
 
@@ -86,7 +88,8 @@ def keyed(task: Task, module: str | None) -> Task:
     known = [scene_hash, plain["film"], task.seconds, task.seed, task.method]
     known += [version(package) for package in NEEDED.get(module or "", ())]
     if module == "ours":
-        known += [plain["iws"], plain["forecast"], plain["watertight"], cache_directory().name, __version__]
+        kept = {name: value for name, value in plain.items() if name not in SET_HERE}
+        known += [kept, cache_directory().name, __version__]
     return replace(task, key=hashlib.sha256(json.dumps(known).encode()).hexdigest())
 
 
