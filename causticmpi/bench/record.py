@@ -20,6 +20,8 @@ from causticmpi.kernels.embree import LANES, LIBRARY
 SINGLE_WORDS, PACKET_WORDS = 24, 12 * LANES
 """float32 words kept per query: an RTCRayHit (the last word tells occlusion queries), an RTCRay16."""
 MOST_SINGLE, MOST_PACKETS, MOST_EYE_PACKETS = 4_000_000, 150_000, 40_000
+MOST_PHOTONS = 200_000
+"""Caustic points whose rays are recorded."""
 
 
 def _as_pointer(typingctx: Any, address: Any) -> Any:
@@ -98,7 +100,7 @@ class Recorder:
 
 def main(config_file: str, out: str) -> None:
     """Record one pass of `pt` and the first part of a pass of `iws` into `out`: arrays `single`, `eye_packets` (nearest
-    hit) and `packets` (shadow)."""
+    hit), `packets` (shadow) and `photons`."""
     recorder = Recorder()
     from causticmpi.bench.subjects import Subject
 
@@ -106,7 +108,10 @@ def main(config_file: str, out: str) -> None:
     subject.path_tracing()
     single, eye = recorder.single[: recorder.counts[0]].copy(), recorder.eye_packets[: recorder.counts[2]].copy()
     subject.gather(subject.pixels[: len(subject.pixels) // 2 // 16 * 16])
-    np.savez(out, single=single, eye_packets=eye, packets=recorder.packets[: recorder.counts[1]])
+    recorder.counts[0] = 0
+    subject.photons(MOST_PHOTONS)
+    photons = recorder.single[: recorder.counts[0]]
+    np.savez(out, single=single, eye_packets=eye, packets=recorder.packets[: recorder.counts[1]], photons=photons)
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from causticmpi.bench.preprocess import STAGES
 from causticmpi.bench.subjects import Subject
 
 REPETITIONS = 5
@@ -19,38 +20,46 @@ RATES = {
     "pt": "path tracing, all of it",
     "raw_packets": "Embree alone, the shadow rays of virtual lights in packets of 16",
     "gather": "virtual-light gather, all of it",
-    "photons": "shooting forecast photons, all of it",
+    "raw_photons": "Embree alone, the rays of forecast photons",
+    "photons": "shooting photons until 1 M caustic points are found, all of it",
 }
 """What is timed, in million rays per CPU second."""
-RATIOS = {"pt / raw": ("pt", "raw_single"), "gather / raw": ("gather", "raw_packets")}
+RATIOS = {
+    "pt / raw": ("pt", "raw_single"),
+    "gather / raw": ("gather", "raw_packets"),
+    "photons / raw": ("photons", "raw_photons"),
+}
 
 
-def recorded_rays(config_file: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Queries of one pass, recorded in a process of its own: single (n, 24), eye and shadow packets (m, 192)."""
+def recorded_rays(config_file: str) -> dict[str, np.ndarray]:
+    """Queries recorded in a process of its own: single and photons (n, 24), eye and shadow packets (m, 192)."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "rays.npz"
         subprocess.run([sys.executable, "-m", "causticmpi.bench.record", config_file, str(out)], check=True)
         with np.load(out) as rays:
-            return rays["single"], rays["eye_packets"], rays["packets"]
+            return dict(rays)
 
 
 def measure(config_file: str, repetitions: int = REPETITIONS) -> dict[str, Any]:
     """Rates and ratios of one scene; every figure a median with its least and greatest, ratios taken within a round."""
-    single, eye, packets = recorded_rays(config_file)
+    recorded = recorded_rays(config_file)
     subject = Subject(config_file)
     rounds: dict[str, list[float]] = {name: [] for name in RATES}
     preprocess: list[dict[str, float]] = []
+    million: list[dict[str, float]] = []
     for _ in range(repetitions):
         for name, timed in (
-            ("raw_single", lambda: subject.raw_single(single, eye)),
+            ("raw_single", lambda: subject.raw_single(recorded["single"], recorded["eye_packets"])),
             ("pt", subject.path_tracing),
-            ("raw_packets", lambda: subject.raw_packets(packets)),
+            ("raw_packets", lambda: subject.raw_packets(recorded["packets"])),
             ("gather", subject.gather),
+            ("raw_photons", lambda: subject.raw_photons(recorded["photons"])),
             ("photons", subject.photons),
         ):
             queries, seconds = timed()
             rounds[name].append(queries / seconds / 1e6)
         preprocess.append(subject.preprocess())
+        million.append(subject.million())
     return {
         "scene": subject.scene.data.name,
         "triangles": len(subject.scene.data.triangles),
@@ -63,6 +72,8 @@ def measure(config_file: str, repetitions: int = REPETITIONS) -> dict[str, Any]:
         "preprocess_seconds": {
             stage: _summary([p[stage] for p in preprocess]) for stage in ("photons", "clustering", "trees")
         },
+        "million_points_cpu_seconds": {stage: _summary([m[stage] for m in million]) for stage in STAGES},
+        "scipy_over_ours": _summary([m["scipy"] / m["ours"] for m in million]),
     }
 
 
@@ -85,6 +96,9 @@ def table(results: Sequence[dict[str, Any]]) -> str:
         lines.append(row(name, [r["ratios"][name] for r in results]))
     for stage in ("photons", "clustering", "trees"):
         lines.append(row(f"preprocess: {stage} [s]", [r["preprocess_seconds"][stage] for r in results], 3))
+    for stage, label in STAGES.items():
+        lines.append(row(f"{label} [CPU s]", [r["million_points_cpu_seconds"][stage] for r in results]))
+    lines.append(row("scipy / ours", [r["scipy_over_ours"] for r in results]))
     return "\n".join(lines)
 
 

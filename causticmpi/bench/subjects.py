@@ -7,6 +7,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from causticmpi.bench.preprocess import MILLION, preprocess_of
 from causticmpi.config.load import load_config, scene_path
 from causticmpi.distributed.clock import Stopwatch
 from causticmpi.distributed.prepare import prepare_forecast, share_scene
@@ -26,7 +27,7 @@ from causticmpi.kernels.embree import (
 )
 from causticmpi.kernels.jit import kernel
 from causticmpi.kernels.pixels import pixel_order
-from causticmpi.preprocess.photons import shoot_photons
+from causticmpi.preprocess.photons import CausticPoints, shoot_photons
 from causticmpi.render.methods import PathTracing, WeakSingularities, make_method
 from causticmpi.scene.load import load_scene
 from causticmpi.scene.tracing import camera_array
@@ -103,6 +104,7 @@ class Subject:
         self.pixels = pixel_order((0, 0, width, height), width)
         self.film = np.zeros((width * height, 6), np.float32)
         self.path_rates: list[float] = []  # million paths per CPU second, of each `path_tracing`
+        self.points: CausticPoints | None = None
         self._methods: dict[str, Any] = {}
 
     def _method(self, name: str) -> Any:
@@ -140,12 +142,17 @@ class Subject:
         (_, shadows), both = run(method.light_count)
         return shadows, both - seeing
 
-    def photons(self) -> tuple[int, float]:
-        """Shooting the photons of the forecast: rays."""
+    def photons(self, count: int = MILLION) -> tuple[int, float]:
+        """Shooting `count` photons: rays. The points are kept for `million`."""
         shoot_photons(self.scene.traced, ray_buffer(), 1, 1)
         began = time.process_time()
-        _, _, rays = shoot_photons(self.scene.traced, ray_buffer(), 1, self.config.forecast.photons)
+        self.points, _, rays = shoot_photons(self.scene.traced, ray_buffer(), 1, count)
         return rays, time.process_time() - began
+
+    def million(self) -> dict[str, float]:
+        """CPU seconds of making maps of the points that `photons` shot (see bench.preprocess)."""
+        assert self.points is not None
+        return preprocess_of(self.points, self.config.forecast, 1)
 
     def preprocess(self) -> dict[str, float]:
         """CPU-bound wall seconds of the whole preprocess by stage."""
@@ -164,6 +171,14 @@ class Subject:
         in_use = int((eye_packets.reshape(-1, 12, LANES)[:, TFAR] >= 0).sum())
         seconds = _timed(lambda: _replay_single(handle, rays, 0))[1]
         return len(queries) + in_use, seconds + _timed(lambda: _replay_eye_packets(handle, valid, packets))[1]
+
+    def raw_photons(self, queries: np.ndarray) -> tuple[int, float]:
+        """Embree alone on recorded rays of photons (n, 24)."""
+        rays = _aligned(len(queries), 32)
+        rays[:, :24] = queries
+        handle = self.scene.embree.handle
+        _replay_single(handle, rays[:0], 0)
+        return len(queries), _timed(lambda: _replay_single(handle, rays, 0))[1]
 
     def raw_packets(self, packets: np.ndarray) -> tuple[int, float]:
         """Embree alone on recorded 16-wide shadow packets (n, 192): rays in use."""
