@@ -8,14 +8,18 @@ CAUSTICMPI=${CAUSTICMPI:-.venv/bin/causticmpi}
 # -K1: when one rank dies the others end too. pmi2 is what libraries with the MPICH ABI speak.
 LAUNCH=${LAUNCH:-srun -K1 --mpi=pmi2}
 
+tell_until_gone() {
+    while kill -USR1 "$1" 2> /dev/null; do sleep 5; done
+}
+
 run_to_the_end() { # DIR WORDS...: runs `causticmpi WORDS...`, which leaves DIR/unfinished if a signal stopped it
     local directory=$1 step code requeue=
     shift
-    $LAUNCH "$CAUSTICMPI" "$@" &
+    # A rank that is still starting would die of USR1: it ignores it until it can save, and is told again.
+    $LAUNCH sh -c 'trap "" USR1; exec "$@"' ranks "$CAUSTICMPI" "$@" &
     step=$!
-    # SLURM ends the ranks of a cancelled job itself; this shell stays until they have saved.
-    trap 'requeue=yes; kill -USR1 "$step"' USR1
-    trap : TERM
+    trap 'requeue=yes; tell_until_gone "$step" &' USR1
+    trap : TERM # SLURM ends the ranks of a cancelled job itself; this shell stays until they have saved
     while wait "$step"; code=$?; kill -0 "$step" 2> /dev/null; do :; done # a signal to this shell ends `wait` early
     if [ -n "$requeue" ] && [ "$code" -eq 0 ] && [ -e "$directory/unfinished" ]; then
         echo "$(date '+%F %T') $directory is unfinished: back into the queue"

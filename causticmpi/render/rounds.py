@@ -28,8 +28,10 @@ class Share:
     last: int
 
 
-FINENESS = 2
-"""A share is at most what is left of the round by this many times the ranks."""
+FINENESS = 8
+"""A share is at most what is left of the round by this many times the ranks ..."""
+LEAST = 64
+"""... but no less than so many tiles, where that leaves work for every rank."""
 
 
 def divide(first_pass: int, passes: int, tiles: int, size: int) -> list[Share]:
@@ -42,7 +44,9 @@ def divide(first_pass: int, passes: int, tiles: int, size: int) -> list[Share]:
     shares = []
     for index in range(passes):
         left = passes - index
-        parts = min(tiles, max(1, -(-FINENESS * size // left))) if size > 1 else 1
+        parts = 1
+        if size > 1:
+            parts = min(tiles, max(-(-size // left), min(-(-FINENESS * size // left), tiles // LEAST)))
         cuts = [16 * (tiles * part // parts) for part in range(parts + 1)]
         shares += [Share(first_pass + index, *cut) for cut in zip(cuts, cuts[1:], strict=False)]
     return shares
