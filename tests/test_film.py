@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from causticmpi.render.film import BLOCK, CHANNELS, LOW, Film, quantum_for, resolve
+from causticmpi.render.film import BLOCK, CHANNELS, HIGH, LOW, Film, quantum_for, resolve
 from causticmpi.render.rounds import FINENESS, LEAST, Batches, Share, divide, equal_round
 
 SLOTS, PASSES = 40, 64
@@ -72,6 +72,22 @@ def test_exact_up_to_the_stated_limit() -> None:
         other.add_pass(bright.copy())
     assert (film.sums[0, :6] == 64000 + quantum).all() and np.array_equal(film.sums, other.sums)
     assert (film.sums[0, 6:9] + film.sums[0, 9:] == 8000 * 256).all()
+
+
+def test_squares_of_long_runs_are_exact() -> None:
+    """Both parts of the squares after 93,312 passes of a bright pixel, against whole numbers of any size."""
+    quantum = quantum_for(1.0)
+    film = Film(1, quantum)
+    for value in np.random.default_rng(2).random((128, 1, 6)).astype(np.float32) / 2:
+        film.add_pass(value)
+    steps = quantum**2 * np.repeat([HIGH, LOW], 3)
+    expected = [3**6 * int(count) for count in film.sums[0, 6:] / steps]
+    for _ in range(6):
+        once = Film(1, quantum)
+        once.merge(film)
+        film.merge(once)
+        film.merge(once)
+    assert [int(count) for count in film.sums[0, 6:] / steps] == expected
 
 
 def test_squares_of_fireflies_are_exact() -> None:

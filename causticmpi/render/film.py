@@ -18,8 +18,8 @@ CHANNELS = 12
 """Per pixel: sum of L_d (3), sum of L_c (3), sums of the high (3) and low (3) parts of the squares of their total."""
 QUANTUM_BITS = 36
 BLOCK = 1024
-HIGH, LOW = 2.0**64, 2.0**24
-"""Steps of the two parts of a square, in squares of the quantum."""
+HIGH, LOW = 2.0**60, 2.0**24
+"""Steps of the two parts of a square, in squares of the quantum: 2^17 low parts of up to 2^36 steps sum up to 2^53."""
 
 
 @kernel
