@@ -1,6 +1,7 @@
 """`causticmpi render`: from the command line to the ranks."""
 
 import argparse
+import sys
 from collections.abc import Sequence
 
 from causticmpi.config.load import load_config, scene_path
@@ -20,7 +21,7 @@ def render(arguments: argparse.Namespace, argv: Sequence[str]) -> int:
     if arguments.ranks != 1:
         code = launch_ranks(arguments.ranks, argv)
         if code is not None:
-            return code
+            return told_exit_code(code)
     from causticmpi.distributed.begin import Request
     from causticmpi.distributed.failure import install_abort_hook, run_to_exit_code
     from causticmpi.distributed.job import render as render_job
@@ -34,3 +35,15 @@ def render(arguments: argparse.Namespace, argv: Sequence[str]) -> int:
     world = open_world()
     install_abort_hook(world)
     return run_to_exit_code(world, lambda: render_job(world, read_request))
+
+
+def told_exit_code(code: int) -> int:
+    """The launcher's exit code as ours; one that no rank gives (a rank was killed) is told and becomes 1."""
+    if code in (0, 1, 2):
+        return code
+    print(
+        f"causticmpi: the ranks ended with code {code}: one of them was killed (out of memory? a batch system?); go on "
+        "from the last checkpoint by the same command with --resume",
+        file=sys.stderr,
+    )
+    return 1

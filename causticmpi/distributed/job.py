@@ -88,10 +88,14 @@ def render_one(
     with watch.stage("load"):
         scene = share_scene(world, given.scene, config.watertight)
     run = _Run(world, given, scene, claim(world, given.request), watch, flag, snapshots)
-    if not run.asked_to_stop():
+    stopped = run.asked_to_stop()
+    if not stopped:
         run.forecast()
+    world.watch(True)
+    if not stopped:
         run.trace()
     run.finish()
+    world.watch(False)
     scene.embree.close()
     world.release()
     return run.stopped_by
@@ -270,6 +274,7 @@ class _Run:
         self.film.passes, self.rounds = self.state.passes, self.state.rounds
         if self.sums_before is not None:
             self.film.sums[:] = self.sums_before
+            self.film.touched[:] = True
             self.film.rays, self.film.nonfinite = self.state.rays, self.state.nonfinite
             self.sums_before = None
 
@@ -284,6 +289,7 @@ class _Run:
         return self._tracing_clock() > self.for_tracing
 
     def _must_stop(self) -> bool:
+        self.world.pulse()
         if self.rounds == 0:
             return bool(self.flag.raised)
         if self.world.is_root:
@@ -365,6 +371,7 @@ class _Run:
             second = self.world.reduce_sum(self.second.sums) if last and self.until is not None else None
             usage = self.world.gather(measure_usage(self.watch, self.batches))
         if self.world.is_root:
+            self.world.pulse(writing=True)
             assert sums is not None and counts is not None and usage is not None
             parts: Sequence[Part] = [(sums, self.film.passes)]
             if self.until is not None and second is not None:
@@ -376,6 +383,7 @@ class _Run:
                     self.keeper.save(self._state(merged, complete=last and not self.stopped_by), sums, taken, last)
             if picture:
                 self.keeper.write_picture(lambda: self._write_picture(merged), self._elapsed, last)
+            self.world.pulse(writing=False)
         self.world.barrier()
 
     def _write_picture(self, merged: Merged) -> None:

@@ -59,8 +59,8 @@ class Keeper:
         return since > self.interval and written_for + self.picture_cost <= self.for_writing
 
     def save_due(self, elapsed: float, round_seconds: float) -> bool:
-        """Whether after one more round a checkpoint would come too late. Where it costs more than its share it comes
-        less often, and that is told."""
+        """Whether after one more round a checkpoint would come too late, be that round twice as dear as the last. Where
+        a checkpoint costs more than its share it comes less often, and that is told."""
         if self.checkpoint == 0:
             return False
         dearest = self.save_cost / WRITE_SHARE
@@ -70,7 +70,7 @@ class Keeper:
                 f"a checkpoint takes {self.save_cost:.1f} s: one is written every {dearest:.0f} s instead of every "
                 f"{self.checkpoint:g} s",
             )
-        return elapsed - self.last_save + round_seconds + self.save_cost > max(self.checkpoint, dearest)
+        return elapsed - self.last_save + 2 * round_seconds + self.save_cost > max(self.checkpoint, dearest)
 
     def save(self, state: State, sums: np.ndarray, taken: float, last: bool) -> None:
         """Write the checkpoint of this state, which is that of `taken` seconds."""

@@ -20,6 +20,7 @@ os.environ.setdefault("OMPI_MCA_osc", "^ucx")
 
 from mpi4py import MPI  # noqa: E402
 
+from causticmpi.distributed.watchdog import TRACING, WRITING, Watchdog  # noqa: E402
 from causticmpi.distributed.world import AgreedInputError, Arrays, World, require_summable  # noqa: E402
 from causticmpi.errors import InputError  # noqa: E402
 
@@ -39,11 +40,17 @@ FAILURE_PATIENCE = 0.3
 FAILURE_PROBES = 20
 
 
+while_waiting: list[Callable[[], None]] = []
+"""What a rank does now and then as long as it waits for others."""
+
+
 def wait(request: MPI.Request, longest: float = LONGEST_SLEEP) -> None:
     """Wait for a request asleep: polls after 50 us at first, then ever less often, at least every `longest` s."""
     pause = SHORTEST_SLEEP
     while not request.Test():
         time.sleep(pause)
+        for action in while_waiting:
+            action()
         pause = min(1.5 * pause, longest)
 
 
@@ -97,6 +104,7 @@ class MpiWorld(World):
         self.leader_of = np.array([leader for _, leader in everyone])
         self.node_count = len(set(self.leader_of.tolist()))
         self._closed = False
+        self._watchdog: Watchdog | None = None
         self._shared: list[Any] = []
         self._handing_out: Any = None
         # Runs before mpi4py finalizes MPI: windows have to be freed by then, and a late rank is awaited asleep.
@@ -158,6 +166,23 @@ class MpiWorld(World):
 
     def barrier(self) -> None:
         wait(self.comm.Ibarrier())
+
+    def watch(self, on: bool) -> None:
+        if on:
+            self._watchdog = Watchdog(self.comm, self._hosts)
+            while_waiting.append(self.pulse)
+            return
+        while_waiting.remove(self.pulse)
+        self.barrier()
+        assert self._watchdog is not None
+        self._watchdog.drain()
+        self._watchdog = None
+
+    def pulse(self, writing: bool | None = None) -> None:
+        word = None if writing is None else WRITING if writing else TRACING
+        if self._watchdog is not None and not self._watchdog.pulse(word):
+            time.sleep(0.1)  # the launcher passes stderr on
+            self.abort(1)
 
     def agree(self, error: InputError | None) -> None:
         lowest = self.all_min(self.size if error is None else self.rank)

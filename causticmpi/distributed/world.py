@@ -90,6 +90,13 @@ class World(ABC):
     def barrier(self) -> None:
         """Collective. Returns once all ranks have come here; waits asleep."""
 
+    def watch(self, on: bool) -> None:  # noqa: B027  (one process has no one to watch)
+        """Collective. From now on, or no longer, ranks that fall silent are told of and in the end given up: see
+        watchdog.py. While it is on every rank calls `pulse` often, or waits for others."""
+
+    def pulse(self, writing: bool | None = None) -> None:  # noqa: B027
+        """This rank is alive. writing: from now on (or no longer) it may be silent for as long as a disk takes."""
+
     @abstractmethod
     def agree(self, error: InputError | None) -> None:
         """Collective. Raises AgreedInputError on all ranks, with the lowest failing rank's message, if any has one."""

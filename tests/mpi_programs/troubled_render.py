@@ -4,11 +4,14 @@ raise, kill   once a picture has been written, in the middle of a round
 disk-full     the second picture cannot be written
 signal        the rank alone gets SIGUSR1, at the same time
 crawl         the first round takes for ever
+slow-rename   putting a file in place takes a second and a half
+clock-steps   the wall clock jumps to and fro by an hour, at every look at it
 
 The file "trouble" appears in the directory when it begins.
 """
 
 import errno
+import itertools
 import os
 import signal
 import sys
@@ -52,12 +55,31 @@ def trouble_in_writing(folder: Path, picture: Path) -> None:
     result.write_run = troubled
 
 
+def slow_rename() -> None:
+    replace = os.replace
+
+    def slow(source, target):
+        time.sleep(1.5)
+        replace(source, target)
+
+    os.replace = slow
+
+
+def clock_steps() -> None:
+    true_time, looks = time.time, itertools.count()
+    time.time = lambda: true_time() + (3600 if next(looks) % 2 else -3600)
+
+
 if __name__ == "__main__":
     what, rank, folder, *words = sys.argv[1:]
     sys.argv[1:] = words
     picture = Path(words[words.index("--out") + 1]) / "report.json"
     if int(rank) in (-1, launcher_rank()):
-        if what == "disk-full":
+        if what == "slow-rename":
+            slow_rename()
+        elif what == "clock-steps":
+            clock_steps()
+        elif what == "disk-full":
             trouble_in_writing(Path(folder), picture)
         else:
             trouble_in_tracing(what, Path(folder), picture)
