@@ -17,6 +17,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -25,18 +26,18 @@ import OpenEXR
 ROOT = Path(__file__).resolve().parents[1]
 TROUBLED = ROOT / "tests" / "mpi_programs" / "troubled_render.py"
 RANKS = 2
-INTERVAL = 4.0
+INTERVAL = 10.0
 """Seconds between checkpoints."""
-PATIENCE = 6.0
+PATIENCE = 20.0
 """Seconds a rank may be silent in these runs."""
-LATEST = 7.0
+LATEST = 25.0
 """Seconds of tracing within which the fault comes."""
-SLOW = 300
+SLOW = 900
 """Seconds after which a repetition counts as hung."""
 RENDER = (
     "render", str(ROOT / "configs" / "cornell.yaml"), "--set", "film.width=64", "--set", "film.height=48",
     "--set", "forecast.photons=2000", "--set", "forecast.clusters=32", "--set", f"output.checkpoint={INTERVAL:g}",
-    "--set", "output.interval=2",
+    "--set", "output.interval=3",
 )  # fmt: skip
 
 
@@ -75,6 +76,10 @@ class Run:
                 return False
             time.sleep(0.01)
         return True
+
+    def lasts_until(self, moment: float) -> bool:
+        """Wait for a moment; False if the run ended before."""
+        return self.wait_for(lambda: time.time() > moment)
 
     def tracing(self) -> bool:
         return "causticmpi: tracing" in self.log.read_text()
@@ -136,7 +141,7 @@ def pause(run: Run, chance: random.Random) -> None:
     """A rank stops for less than the patience."""
     rank = chance.choice(sorted(run.ranks()))
     os.kill(rank, signal.SIGSTOP)
-    time.sleep(2.5)
+    time.sleep(PATIENCE / 2)
     os.kill(rank, signal.SIGCONT)
 
 
@@ -188,7 +193,7 @@ class Fault:
 FAULTS = {
     "kill: SIGKILL to a rank": Fault(to_a_rank(signal.SIGKILL), many=True),
     "stop: SIGSTOP to a rank, for ever": Fault(to_a_rank(signal.SIGSTOP), many=True),
-    "pause: SIGSTOP to a rank, SIGCONT after 2.5 s": Fault(pause, goes_on=True),
+    f"pause: SIGSTOP to a rank, SIGCONT after {PATIENCE / 2:g} s": Fault(pause, goes_on=True),
     "machine: SIGKILL to launcher and ranks": Fault(kill_all),
     "term: SIGTERM to mpirun": Fault(to_the_launcher(signal.SIGTERM)),
     "int: SIGINT to mpirun": Fault(to_the_launcher(signal.SIGINT)),
@@ -212,12 +217,11 @@ def repetition(
     """Run, disturb, look, go on, compare."""
     out = folder / "out"
     while True:
-        run = Run(out, folder.parent / "first.log", "--spp", spp, "--force", program=fault.program)
+        run = Run(out, folder / "first.log", "--spp", spp, "--force", program=fault.program)
         if not run.wait_for(run.tracing):
             sys.exit(f"the run did not begin: {run.log.read_text()}")
         began = time.time()
-        moment = began + chance.uniform(0, LATEST)
-        if run.wait_for(lambda: time.time() > moment):
+        if run.lasts_until(began + chance.uniform(0, LATEST)):
             break
         run.end()  # over before the fault: once more
     to.repetitions += 1
@@ -234,12 +238,24 @@ def repetition(
         to.unequal += code != 0 or layers(out) != wanted
     else:
         to.pictures_lost += pictured and layers(out) is None
-        told += resume(out, folder.parent / "second.log", spp)
+        told += resume(out, folder / "second.log", spp)
         to.unequal += layers(out) != wanted or (out / "unfinished").exists()
     to.tracebacks += "Traceback" in told
     for line in told.splitlines():
         if any(word in line for word in ("warning", " rank ", "could not", "stopped by", "going on from")):
             to.lines[line.replace(str(out), "DIR")] = None
+
+
+def on_a_disk(fault: Fault, spp: str, wanted: dict[str, bytes], base: Path, chance: random.Random, to: Tally) -> None:
+    """One repetition, in a directory or on a small disk of its own."""
+    folder = Path(tempfile.mkdtemp(dir=base))
+    if fault.disk and not small_disk(folder):
+        return
+    try:
+        repetition(fault, spp, wanted, folder, chance, to)
+    finally:
+        if fault.disk:
+            subprocess.run(["umount", str(folder)], check=True)
 
 
 def resume(out: Path, log: Path, spp: str) -> str:
@@ -258,15 +274,15 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repetitions", type=int, default=20, help="of kill and stop; of the others a quarter")
     parser.add_argument("--only", help="names, separated by commas")
-    parser.add_argument("--seconds", type=float, default=11, help="how long an undisturbed run takes, about")
+    parser.add_argument("--spp", default="600", help="passes; of a run that outlasts the latest fault")
+    parser.add_argument("--parallel", type=int, default=1, help="repetitions at the same time")
     parser.add_argument("--out", type=Path, help="also write the table there")
     arguments = parser.parse_args()
     only = arguments.only.split(",") if arguments.only else None
     with tempfile.TemporaryDirectory(prefix="faults-") as name:
         base = Path(name)
+        spp = arguments.spp
         Run(base / "warm", base / "log", "--spp", "2").end()
-        Run(base / "pace", base / "log", "--time", f"{arguments.seconds:g}s").end()
-        spp = (base / "log").read_text().rpartition(" passes in")[0].split()[-1]
         Run(base / "wanted", base / "log", "--spp", spp).end()
         wanted = layers(base / "wanted")
         if wanted is None:
@@ -280,16 +296,11 @@ def main() -> int:
         for title, fault in FAULTS.items():
             if only and title.partition(":")[0] not in only:
                 continue
-            tally, chance = Tally(), random.Random(title)
-            for _ in range(arguments.repetitions if fault.many else -(-arguments.repetitions // 4)):
-                folder = Path(tempfile.mkdtemp(dir=base))
-                if fault.disk and not small_disk(folder):
-                    continue
-                try:
-                    repetition(fault, spp, wanted, folder, chance, tally)
-                finally:
-                    if fault.disk:
-                        subprocess.run(["umount", str(folder)], check=True)
+            tally = Tally()
+            count = arguments.repetitions if fault.many else -(-arguments.repetitions // 4)
+            with ThreadPoolExecutor(arguments.parallel) as pool:
+                chances = [random.Random(f"{title} {number}") for number in range(count)]
+                list(pool.map(lambda chance: on_a_disk(fault, spp, wanted, base, chance, tally), chances))  # noqa: B023
             lost = f"{max(tally.lost):.1f}" if tally.lost else "0"
             codes = ", ".join(map(str, sorted(tally.codes)))
             rows.append(

@@ -1,0 +1,41 @@
+"""Damage files of a run at random, resume it, and count what becomes of it: a table in Markdown.
+
+    .venv/bin/python scripts/fuzz.py [CASES] [FIRST]
+
+Each case damages a checkpoint, both of them, the config, the scene or a mesh, seeded by its number. Allowed are a
+refusal with one line that leaves everything as it was, and the very bits of the undisturbed run. Exits with 1 if
+anything else happened.
+"""
+
+import collections
+import sys
+import tempfile
+from pathlib import Path
+
+sys.path[:0] = [str(Path(__file__).resolve().parents[1] / folder) for folder in (".", "tests")]
+
+from fuzzing import TARGETS, Outcome, Rig  # noqa: E402
+
+VERDICTS = ("refused", "another", "recovered", "the same", "wrong")
+
+
+def main() -> int:
+    cases, first = (int(word) for word in (sys.argv[1:] + ["500", "0"][len(sys.argv) - 1 :]))
+    outcomes: list[Outcome] = []
+    with tempfile.TemporaryDirectory(prefix="fuzz-") as folder:
+        rig = Rig(Path(folder))
+        for number in range(first, first + cases):
+            outcomes.append(rig.case(number))
+            if outcomes[-1].verdict.startswith("wrong"):
+                print(f"case {number}: {outcomes[-1]}", flush=True)
+    counts = collections.Counter((o.target, o.verdict.partition(":")[0]) for o in outcomes)
+    print("| damaged | unreadable: refused | another run's: refused | recovered, told | same bits | wrong |")
+    print("|---|---|---|---|---|---|")
+    for target in TARGETS:
+        print(f"| {target} | " + " | ".join(str(counts[target, verdict]) for verdict in VERDICTS) + " |")
+    print(f"\n{cases} cases, the slowest took {max(o.seconds for o in outcomes):.1f} s")
+    return int(any(o.verdict.startswith("wrong") for o in outcomes))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
