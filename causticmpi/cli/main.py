@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 
 from causticmpi import __version__
-from causticmpi.errors import InputError
+from causticmpi.errors import InputError, RunError
 
 os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # one rank is one thread
@@ -39,7 +39,7 @@ def build_parser() -> argparse.ArgumentParser:
     held = render.add_mutually_exclusive_group()
     held.add_argument("--resume", action="store_true", help="go on with the run that DIR holds, or extend it")
     held.add_argument("--force", action="store_true", help="replace the run that DIR holds")
-    check = verbs.add_parser("check", help="validate config and scene, estimate memory; renders nothing")
+    check = verbs.add_parser("check", help="validate config and scene, estimate memory and time")
     _common(check)
     compare = verbs.add_parser("compare", help="equal-time runs of several methods: tables, charts, one HTML report")
     _common(compare)
@@ -52,6 +52,10 @@ def build_parser() -> argparse.ArgumentParser:
     inspect = verbs.add_parser("inspect", help="virtual lights, caustic points and clusters as pictures and numbers")
     _common(inspect)
     inspect.add_argument("--out", metavar="DIR", help="directory of the pictures (default: inspect in the output's)")
+    merge = verbs.add_parser("merge", help="put runs of one config with different seeds together into one picture")
+    merge.add_argument("runs", metavar="DIR", nargs="+", help="directories of finished or stopped runs, two or more")
+    merge.add_argument("-o", "--out", metavar="DIR", required=True, help="output directory")
+    merge.add_argument("--force", action="store_true", help="replace the run that the output directory holds")
     bench = verbs.add_parser("bench", help="this machine: raw Embree rate beside each kernel's rate, on one core")
     bench.add_argument(
         "configs", metavar="CONFIG", nargs="*", default=[f"configs/{name}.yaml" for name in BENCH_SCENES]
@@ -96,6 +100,10 @@ def _run(argv: list[str]) -> int:
             from causticmpi.cli.inspect import inspect
 
             return inspect(arguments)
+        if arguments.verb == "merge":
+            from causticmpi.distributed.merge import merge
+
+            return merge(arguments.runs, arguments.out, arguments.force, ("causticmpi", *argv))
         if arguments.verb == "bench":
             from causticmpi.bench.run import bench
 
@@ -105,6 +113,9 @@ def _run(argv: list[str]) -> int:
         return render(arguments, argv)
     except InputError as error:
         return report_input_error(error)
+    except RunError as error:
+        print(f"causticmpi: {error}", file=sys.stderr, flush=True)
+        return 1
 
 
 def report_input_error(error: InputError) -> int:

@@ -159,10 +159,9 @@ class _Run:
             self.progress = Progress(self.limit, config.budget.spp)
             self.result = Result(config, claim, source, self._first_hits())
             output, resumed = config.output, self.state is not None
+            checkpoint = output.checkpoint if self.until is None else 0.0  # its halves are not kept
             limited = self.limit is not None
-            self.keeper = Keeper(
-                claim.directory, output.interval, output.checkpoint, slots, limited=limited, resumed=resumed
-            )
+            self.keeper = Keeper(claim.directory, output.interval, checkpoint, slots, limited=limited, resumed=resumed)
             self.reserve += self.keeper.save_cost
 
     def _first_hits(self) -> np.ndarray:

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from causticmpi.config.records import RenderConfig
+from causticmpi.config.records import Film, RenderConfig
 from causticmpi.distributed.clock import Stopwatch
 from causticmpi.distributed.prepare import Forecasting
 from causticmpi.distributed.until import Part
@@ -51,7 +51,7 @@ class Result:
 
     def write(self, merged: Merged, forecasting: Forecasting, watch: Stopwatch) -> float:
         """Write picture and report over those of this run, or of the run that --force gives up; returns the seconds."""
-        picture = self._picture(merged)
+        picture = make_picture(self.config.film, merged.parts, self.features)
         if merged.passes > 1:
             self.error = estimated_relmse(picture.rgb, picture.variance)
         report = self._report(picture, merged, forecasting, watch)
@@ -97,24 +97,24 @@ class Result:
         report["cpu_seconds"] = cpu_summary(merged.usage)
         return report
 
-    def _picture(self, merged: Merged) -> Picture:
-        film = self.config.film
-        x0, y0, x1, y1 = film.crop or (0, 0, film.width, film.height)
-        shape = (y1 - y0, x1 - x0)
-        resolved = [resolve(sums, passes) for sums, passes in merged.parts]
-        diffusive, caustic, variance = (
-            np.mean(layer, axis=0).reshape(*shape, 3) for layer in zip(*resolved, strict=True)
-        )
-        variance /= len(resolved)
-        features = self.features.reshape(*shape, 7)
-        return Picture(
-            rgb=diffusive + caustic,
-            diffusive=diffusive,
-            caustic=caustic,
-            variance=variance,
-            albedo=features[..., :3],
-            normal=features[..., 3:6],
-            depth=features[..., 6],
-            film_size=(film.width, film.height),
-            crop=film.crop,
-        )
+
+def make_picture(film: Film, parts: Sequence[Part], features: np.ndarray) -> Picture:
+    """The picture of these sums (see render.film): the mean of the parts' means. features: (slots, 7) float32, as
+    `Result` takes them."""
+    x0, y0, x1, y1 = film.crop or (0, 0, film.width, film.height)
+    shape = (y1 - y0, x1 - x0)
+    resolved = [resolve(sums, passes) for sums, passes in parts]
+    diffusive, caustic, variance = (np.mean(layer, axis=0).reshape(*shape, 3) for layer in zip(*resolved, strict=True))
+    variance /= len(resolved)
+    features = features.reshape(*shape, 7)
+    return Picture(
+        rgb=diffusive + caustic,
+        diffusive=diffusive,
+        caustic=caustic,
+        variance=variance,
+        albedo=features[..., :3],
+        normal=features[..., 3:6],
+        depth=features[..., 6],
+        film_size=(film.width, film.height),
+        crop=film.crop,
+    )
