@@ -209,7 +209,7 @@ def bias_grid(result: PartResult) -> "Figure":
     for cell, group in zip(cells[0], groups, strict=True):
         cell.set_title(f"{group.name}\n{group.runs[0].final.passes} samples per pixel", fontsize=10)
     figure.suptitle(
-        f"{result.part.title}: signed relative error in the close-ups, mean of {groups[0].seeds}; red: too bright",
+        f"{result.part.title}: close-ups\nsigned relative error, mean of {groups[0].seeds}\nred: too bright",
         fontsize=12,
     )
     return figure
