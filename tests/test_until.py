@@ -119,3 +119,9 @@ def test_parts() -> None:
     assert mean_of(parts) == pytest.approx((quiet[: asked // 2].mean() + loud[:FIRST].mean()) / 2)
     _, over, parts = run(loud, loud, asked)
     assert not over and [n for _, n in parts] == [asked]
+    # Ended by something else in the middle of a block: the other half counts what it has.
+    rule = Until(1e-4)
+    rule.decide(sums_of(quiet[:FIRST]) + sums_of(loud[:FIRST]), sums_of(loud[:FIRST]), 2 * FIRST)
+    for passes in range(2 * FIRST, 200):
+        first, second = rule.parts(sums_of(quiet), sums_of(loud), passes)
+        assert first[1] == passes - sum(rule.half(i) for i in range(passes)) and second[1] == FIRST

@@ -84,5 +84,6 @@ class Until:
             if first is None or last is None:
                 return [(whole, passes)]
             return [(first[0] + last[0], first[1] + last[1])]
-        in_second = sum(self.half(i) for i in range(passes))
+        before, after = self._around(passes)
+        in_second = before + max(0, passes - before - after)
         return [first or (whole - second, passes - in_second), last or (second.copy(), in_second)]
