@@ -18,9 +18,8 @@ def test_stops_at_the_wanted_error(tmp_path: Path) -> None:
     report = read_report(out)
     assert report["until"] == {"relmse": 0.004, "reached": True}
     assert 16 <= report["passes"] < 4096
-    assert report["estimated_relmse"] < 1.5 * 0.004
-    low, high = report["estimated_relmse_interval"]
-    assert 0 < low < report["estimated_relmse"] < high < np.inf
+    assert report["relmse"]["estimate"] < 1.5 * 0.004
+    assert 0 < report["relmse"]["low"] < report["relmse"]["estimate"] < report["relmse"]["high"] < np.inf
     layers, _ = read_layers(out)
     again = estimated_relmse(rgb(layers), rgb(layers, "variance."))
     assert again == pytest.approx(report["estimated_relmse"], rel=1e-3)

@@ -329,7 +329,7 @@ class _Run:
         if sums is not None:
             if group_ends:
                 self.precision.take(sums, passes, RELMSE_FLOOR)
-                self.result.error, self.result.factor = self.precision.error, self.precision.factor
+                self.result.known = self.precision.known
             over = self.until is not None and second is not None and self.until.decide(sums, second, passes)
         return bool(self.world.broadcast(over))
 
@@ -359,7 +359,9 @@ class _Run:
         elapsed = self._elapsed()
         traced = self.film.rays + self.pending.rays - (self.state.rays if self.state is not None else 0)
         rays = traced * self.world.size / max(elapsed - self.tracing_since, 1e-9)
-        self.progress.update(elapsed, self.film.passes, self.film.passes, rays, self.result.error, self.result.factor)
+        self.progress.update(
+            elapsed, self.film.passes, self.film.passes, rays, *(self.result.known or (self.result.error, None))
+        )
 
     def _merge_and_write(self, picture: bool, checkpoint: bool, last: bool = False) -> None:
         """Collective. Merge the sums of all ranks, and have rank 0 write a checkpoint and a picture of them."""

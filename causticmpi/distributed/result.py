@@ -35,14 +35,14 @@ class Merged:
 
 
 class Result:
-    """The files of one run. error: estimated relMSE, None as long as it is unknown; factor: the true one is within
-    [error / factor, error * factor], see render.precision, None as long as that is unknown."""
+    """The files of one run. error: `estimated_relmse` of the last picture, None as long as it is unknown; known: a
+    better estimate, and the factor it may be off by (render.precision), None as long as there is none."""
 
     def __init__(self, config: RenderConfig, claim: Claim, provenance: Mapping[str, Any], features: np.ndarray) -> None:
         """features: first hits, (slots, 7) float32: albedo, normal, depth."""
         self.config, self.claim, self.provenance, self.features = config, claim, provenance, features
         self.error: float | None = None
-        self.factor: float | None = None
+        self.known: tuple[float, float] | None = None
 
     @property
     def directory(self) -> Path:
@@ -83,8 +83,9 @@ class Result:
             provenance=self.provenance,
             warnings=forecasting.warnings,
         )
-        if self.error is not None and self.factor is not None:
-            report["estimated_relmse_interval"] = [self.error / self.factor, self.error * self.factor]
+        if self.known is not None:
+            error, factor = self.known
+            report["relmse"] = {"estimate": error, "low": error / factor, "high": error * factor}
         if self.config.budget.until is not None:
             target = float(self.config.budget.until)
             report["until"] = {"relmse": target, "reached": merged.reached}

@@ -11,11 +11,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from causticmpi.output.picture import estimated_relmse
-from causticmpi.render.film import resolve
+from causticmpi.output.picture import RELMSE_FLOOR
+from causticmpi.render.precision import Precision
 
 FIRST = 8
-"""Passes of a half before it is asked for the first time: fewer tell nothing of a variance."""
+"""Passes of a half at the first question; it knows an answer a few questions later (render.precision)."""
 STEP = 2.0**0.25
 """Ratio of passes from one question to the next: a picture is better than wanted by up to this factor."""
 
@@ -26,13 +26,14 @@ Part = tuple[np.ndarray, int]
 class Until:
     """When to stop. Questions and halves depend on the number of passes alone: the same on every rank.
 
-    target: relMSE of the whole picture, as `estimated_relmse` has it.
+    target: relMSE of the whole picture, as `Precision` has it.
     """
 
     def __init__(self, target: float) -> None:
         self.target = target
         self._borders = [0, FIRST]  # passes of each half at the questions
         self._ended: list[Part | None] = [None, None]
+        self._precision = (Precision(), Precision())
 
     def half(self, passes: int) -> int:
         """The half, 0 or 1, that the pass with this number belongs to."""
@@ -47,7 +48,7 @@ class Until:
     def _around(self, passes: int) -> tuple[int, int]:
         """Passes of each half at the last question and at the next one."""
         while 2 * self._borders[-1] <= passes:
-            self._borders.append(max(round(STEP * self._borders[-1]), self._borders[-1] + 1))
+            self._borders.append(max(round(STEP * self._borders[-1]), self._borders[-1] + 3))
         after = next(border for border in self._borders if 2 * border > passes)
         return self._borders[self._borders.index(after) - 1], after
 
@@ -60,7 +61,9 @@ class Until:
         each = passes // 2
         halves = (whole - second, second)
         for asked, other in ((0, 1), (1, 0)):
-            if self._ended[other] is None and self._error(halves[asked], each) <= self.target:
+            self._precision[asked].take(halves[asked], each, RELMSE_FLOOR)
+            error = self._precision[asked].error  # of a picture of this half alone; the whole has twice as many passes
+            if self._ended[other] is None and error is not None and error / 2 <= self.target:
                 self._ended[other] = (halves[other].copy(), each)
         return self.over
 
@@ -68,11 +71,6 @@ class Until:
     def over(self) -> bool:
         """Whether both halves have ended each other."""
         return all(self._ended)
-
-    def _error(self, sums: np.ndarray, passes: int) -> float:
-        """relMSE of a picture of twice as many passes, by this half of them."""
-        diffusive, caustic, variance = resolve(sums, passes)
-        return estimated_relmse(diffusive + caustic, variance) / 2
 
     def parts(self, whole: np.ndarray, second: np.ndarray, passes: int) -> Sequence[Part]:
         """What the picture is the plain mean of: all passes at once, or two halves that ended apart.

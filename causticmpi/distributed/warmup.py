@@ -107,6 +107,8 @@ def warm_up(config: RenderConfig, root: bool, forecasting: bool) -> bool:
     sums = Film(16, 2.0**-40)
     sums.add_pass(pass_film)
     if root:
-        precision.Precision().take(sums.sums, 2, 1.0)
+        groups = precision.Precision()
+        groups.take(sums.sums, 2, 1.0)
+        groups.take(sums.sums, 4, 1.0)
     scene.embree.close()
     return compiled_anew(KERNELS) > before

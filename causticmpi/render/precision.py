@@ -1,7 +1,9 @@
 """How well the error of a picture is known: an interval for the estimated relMSE, from groups of passes.
 
-Passes are gathered in groups, the whole run in geometric steps. The passes of a group estimate the error of one pass
+Passes are gathered in groups, the whole run in geometric steps. The passes of a group estimate the variance of one pass
 without help of the others; how these estimates differ from group to group tells how far their mean can be trusted.
+What they are relative to is the mean of the passes before the group: a picture's own mean is bright just where its
+variance is large, and mean(variance / R^2) would come out too small, by a factor of several where there are fireflies.
 """
 
 import math
@@ -23,17 +25,17 @@ CONFIDENCE = 0.95
 def _group_variance(sums, before, passes, floor):
     """Sum over pixels and channels of the variance of a pass, over R^2 + floor; `before` becomes a copy of `sums`.
 
-    sums, before (slots, 12): see render.film, at the end of the group and of the one before it; passes: of all and of
-    the group; R: the mean of all passes.
+    sums, before (slots, 12): see render.film, at the end of the group and of the one before it; passes: those before
+    the group, of which R is the mean, and those of the group.
     """
     total = 0.0
-    every, own = passes
+    earlier, own = passes
     for i in range(sums.shape[0]):
         for c in range(3):
-            mean_all = (sums[i, c] + sums[i, 3 + c]) / every
+            level = (before[i, c] + before[i, 3 + c]) / earlier
             mean = (sums[i, c] + sums[i, 3 + c] - before[i, c] - before[i, 3 + c]) / own
             square = (sums[i, 6 + c] - before[i, 6 + c] + (sums[i, 9 + c] - before[i, 9 + c])) / own
-            total += max(0.0, square - mean * mean) * own / (own - 1) / (mean_all * mean_all + floor)
+            total += max(0.0, square - mean * mean) * own / (own - 1) / (level * level + floor)
         for c in range(sums.shape[1]):
             before[i, c] = sums[i, c]
     return total
@@ -43,11 +45,13 @@ def _group_variance(sums, before, passes, floor):
 class Precision:
     """Groups of a run: when one ends (`due`, on every rank) and what it says (rank 0 only).
 
-    errors: relMSE of a single pass, by each group; passes: of each group.
+    errors: relMSE of a single pass, by each group but the first, which has none before it; passes: of each of these;
+    first: of the first.
     """
 
     errors: list[float] = field(default_factory=list)
     passes: list[int] = field(default_factory=list)
+    first: int = 0
     _next: float = FIRST
     _before: np.ndarray | None = None
 
@@ -61,27 +65,30 @@ class Precision:
     def take(self, sums: np.ndarray, passes: int, floor: float) -> None:
         """End a group. sums: of all passes so far (see render.film); floor: of the relative error [radiance^2]."""
         if self._before is None:
-            self._before = np.zeros_like(sums)
-        own = passes - sum(self.passes)
-        total = _group_variance(sums, self._before, (passes, own), floor)
+            self._before, self.first = sums.copy(), passes
+            return
+        before = self.first + sum(self.passes)
+        total = _group_variance(sums, self._before, (before, passes - before), floor)
         self.errors.append(total / (3 * len(sums)))
-        self.passes.append(own)
+        self.passes.append(passes - before)
 
     @property
-    def error(self) -> float:
-        """Estimated relMSE of the mean of all passes that are in groups; there is one at least."""
-        done = sum(self.passes)
-        return float(np.dot(self.errors, self.passes)) / done**2
+    def error(self) -> float | None:
+        """Estimated relMSE of the mean of all passes so far; None for fewer than FEWEST_GROUPS groups."""
+        if len(self.errors) < FEWEST_GROUPS:
+            return None
+        return float(np.average(self.errors, weights=self.passes)) / (self.first + sum(self.passes))
 
     @property
-    def factor(self) -> float | None:
-        """f such that the true relMSE lies within [estimate / f, estimate * f], with CONFIDENCE where errors of groups
-        are normal, which fireflies are not; None for fewer than FEWEST_GROUPS groups."""
-        return spread_factor(np.array(self.errors), np.array(self.passes, float))
+    def known(self) -> tuple[float, float] | None:
+        """The estimate, and f such that the true relMSE is within [estimate / f, estimate * f] with CONFIDENCE, where
+        errors of groups are normal, which fireflies are not; None for fewer than FEWEST_GROUPS groups."""
+        factor = spread_factor(np.array(self.errors), np.array(self.passes, float))
+        return None if self.error is None or factor is None else (self.error, factor)
 
 
 def spread_factor(errors: np.ndarray, weights: np.ndarray) -> float | None:
-    """The factor of `Precision.factor` from the errors of a pass in groups of `weights` passes."""
+    """The factor of `Precision.known` from the errors of a pass in groups of `weights` passes."""
     from scipy import stats
 
     if len(errors) < FEWEST_GROUPS:

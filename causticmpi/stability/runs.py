@@ -23,8 +23,8 @@ TARGET_FACTOR = 1.5
 
 @dataclass(frozen=True)
 class Coverage:
-    """Runs of one contender, arrays over runs. estimated: relMSE as a run's report states it, and its factor; actual:
-    squared error of its picture; expected: mean of those, the error that the estimate is of; error: its standard error.
+    """Runs of one contender, arrays over runs. estimated: relMSE as a run's report states it (`relmse`), and its
+    factor; actual: squared error of its picture; own: `estimated_relmse`, relative to the picture's own mean.
     """
 
     label: str
@@ -32,6 +32,7 @@ class Coverage:
     estimated: np.ndarray
     factor: np.ndarray
     actual: np.ndarray
+    own: np.ndarray
 
     @property
     def expected(self) -> float:
@@ -58,7 +59,7 @@ def coverage(page: Page, contender: Contender, file: Path, scale: float) -> Cove
     """Independent runs of equally many passes; the truth of each is the mean of all the others."""
     runs = max(8, round(page.runs * min(1.0, scale)))
     bench = set_up(file, config_for(page.side, 1, {**page.set, **contender.set}))
-    pictures, estimated, factors = [], [], []
+    pictures, own, estimated, factors = [], [], [], []
     for run in range(runs):
         film, precision = Film(page.side**2, quantum_for(bench.scene.brightest)), Precision()
         for i in range(page.passes):
@@ -67,10 +68,14 @@ def coverage(page: Page, contender: Contender, file: Path, scale: float) -> Cove
                 precision.take(film.sums, film.passes, RELMSE_FLOOR)
         rgb, variance = _resolved(film)
         pictures.append(rgb)
-        estimated.append(estimated_relmse(rgb, variance))
-        factors.append(precision.factor or math.nan)
+        own.append(estimated_relmse(rgb, variance))
+        error, factor = precision.known or (math.nan, math.nan)
+        estimated.append(error * sum((*precision.passes, precision.first)) / film.passes)
+        factors.append(factor)
     bench.close()
-    return Coverage(contender.label, page.passes, np.array(estimated), np.array(factors), _actual(np.array(pictures)))
+    return Coverage(
+        contender.label, page.passes, np.array(estimated), np.array(factors), _actual(np.array(pictures)), np.array(own)
+    )
 
 
 def _actual(pictures: np.ndarray) -> np.ndarray:

@@ -24,6 +24,7 @@ def table(name: str, page: Page, results: Sequence[Result]) -> Table:
         if isinstance(found, Coverage):
             columns = (
                 "method", "runs", "passes", "expected relMSE", "known to", "mean estimate / expected",
+                "estimated_relmse / expected",
                 f"estimates within {TRUE_WITHIN}", "intervals that hold it", "median factor",
                 f"pictures' own errors within {TRUE_WITHIN} of their estimate",
             )  # fmt: skip
@@ -35,6 +36,7 @@ def table(name: str, page: Page, results: Sequence[Result]) -> Table:
             rows.append((
                 found.label, str(len(found.estimated)), str(found.passes), number(found.expected),
                 f"{100 * found.uncertainty:.1f} %", number(float(found.estimated.mean() / found.expected)),
+                number(float(found.own.mean() / found.expected)),
                 f"{100 * found.within:.0f} %", f"{100 * found.covered:.0f} %", number(float(np.median(found.factor))),
                 f"{100 * own.mean():.0f} %",
             ))  # fmt: skip
