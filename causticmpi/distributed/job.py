@@ -94,7 +94,11 @@ def render_one(
     world.watch(True)
     if not stopped:
         run.trace()
-    run.finish()
+    try:
+        run.finish()
+    except RunError:  # on all ranks
+        world.watch(False)
+        raise
     world.watch(False)
     scene.embree.close()
     world.release()
