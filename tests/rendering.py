@@ -7,11 +7,11 @@ import numpy as np
 
 from causticmpi.config.records import RenderConfig
 from causticmpi.distributed.clock import Stopwatch
-from causticmpi.distributed.prepare import PreparedScene, prepare_forecast, share_scene
+from causticmpi.distributed.prepare import PreparedScene, prepare_method, share_scene
 from causticmpi.distributed.world import SerialWorld
 from causticmpi.kernels.pixels import pixel_order
 from causticmpi.preprocess.forecast import ForecastMaps
-from causticmpi.render.methods import make_method
+from causticmpi.render.methods import make_method, whole_pass
 from causticmpi.scene.data import SceneData
 from causticmpi.scene.load import load_scene
 from causticmpi.scene.tracing import camera_array
@@ -45,18 +45,19 @@ def render_passes(
 ) -> np.ndarray:
     """Films of single passes: (passes, height, width, 6) float32, L_d in the first three channels and L_c in the last.
 
-    maps: use these forecast maps instead of making them from the config.
+    maps: use these forecast maps instead of making them from the config, by natural emission and without light tracing.
     """
     prepared = prepare(scene)
     width, height = config.film.width, config.film.height
+    camera = camera_array(scene.camera, width, height)
     if maps is None:
-        maps = prepare_forecast(SerialWorld(), config, prepared, Stopwatch()).maps
-    method = make_method(config, prepared.traced, camera_array(scene.camera, width, height), maps, prepared.extent)
+        method, _ = prepare_method(SerialWorld(), config, prepared, camera, Stopwatch())
+    else:
+        method = make_method(config, prepared.traced, camera, maps, prepared.extent)
     pixels = pixel_order((0, 0, width, height), width)
     films = np.zeros((passes, width * height, 6), np.float32)
     for i in range(passes):
-        method.begin_pass(first_pass + i)
-        method.trace(pixels, films[i])
+        whole_pass(method, first_pass + i, pixels, films[i])
     prepared.embree.close()
     return films.reshape(passes, height, width, 6)
 

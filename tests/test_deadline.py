@@ -53,6 +53,8 @@ class Clock:
 class Toy:
     """A method whose pass i takes value[i] seconds and shows value[i] in every pixel."""
 
+    light_paths = 0
+
     def __init__(self, clock: Clock) -> None:
         self.clock = clock
         self.value = np.zeros(0)

@@ -216,6 +216,8 @@ def test_shares_cover_every_tile_once(size: int) -> None:
 class Idle:
     """A method that does nothing but note the rows it was asked for."""
 
+    light_paths = 0
+
     def __init__(self) -> None:
         self.begun: list[int] = []
         self.rows: list[int] = []

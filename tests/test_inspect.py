@@ -20,6 +20,7 @@ from causticmpi.inspect.run import CLUSTERS, NUMBERS, SHOOTING
 from causticmpi.inspect.scenery import Discs, Scenery
 from causticmpi.inspect.sight import Sight
 from causticmpi.kernels.embree import ray_buffer
+from causticmpi.kernels.emission import natural_emission
 from causticmpi.preprocess.photons import shoot_photons
 from causticmpi.scene.data import SceneData
 from causticmpi.scene.load import load_scene
@@ -81,7 +82,7 @@ def test_the_numbers_are_the_librarys(out: Path, found: Findings) -> None:
     assert (told["caustic_points"]["found"], told["caustic_points"]["particles"]) == (len(points.power), emitted)
     lights, kinds = empty_virtual_lights(1000), []
     for index in range(told["virtual_lights"]["passes"]):
-        count, _ = trace_virtual_lights(traced, ray_buffer(), config.seed, index, paths, lights)
+        count, _ = trace_virtual_lights(traced, ray_buffer(), natural_emission(), config.seed, index, paths, lights)
         kinds += (lights.material[:count] < 0).tolist()
     assert told["virtual_lights"]["direct"] == sum(kinds) == told["virtual_lights"]["paths"]
     assert told["virtual_lights"]["indirect"] == len(kinds) - sum(kinds) > 0

@@ -14,6 +14,7 @@ from causticmpi.estimators import weak_singularities as ws
 from causticmpi.estimators.virtual_lights import VirtualLights, empty_virtual_lights, trace_virtual_lights
 from causticmpi.kernels import vec
 from causticmpi.kernels.embree import ray_buffer
+from causticmpi.kernels.emission import natural_emission
 from causticmpi.scene.data import PHONG
 
 PATHS, BOUND = 40, 0.8
@@ -78,7 +79,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> PreparedScene:
 
 def trace(scene: PreparedScene, capacity: int = 4000, paths: int = PATHS, index: int = 0) -> tuple[VirtualLights, int]:
     lights = empty_virtual_lights(capacity)
-    return lights, trace_virtual_lights(scene.traced, ray_buffer(), 1, index, paths, lights)[0]
+    return lights, trace_virtual_lights(scene.traced, ray_buffer(), natural_emission(), 1, index, paths, lights)[0]
 
 
 class Points:

@@ -10,7 +10,7 @@ import numpy as np
 from causticmpi.bench.preprocess import MILLION, preprocess_of
 from causticmpi.config.load import load_config, scene_path
 from causticmpi.distributed.clock import Stopwatch
-from causticmpi.distributed.prepare import prepare_forecast, share_scene
+from causticmpi.distributed.prepare import prepare_forecast, prepare_method, share_scene
 from causticmpi.distributed.world import SerialWorld
 from causticmpi.estimators import full_radiance
 from causticmpi.kernels.embree import (
@@ -28,7 +28,7 @@ from causticmpi.kernels.embree import (
 from causticmpi.kernels.jit import kernel
 from causticmpi.kernels.pixels import pixel_order
 from causticmpi.preprocess.photons import CausticPoints, shoot_photons
-from causticmpi.render.methods import PathTracing, WeakSingularities, make_method
+from causticmpi.render.methods import PathTracing, WeakSingularities
 from causticmpi.scene.load import load_scene
 from causticmpi.scene.tracing import camera_array
 
@@ -38,7 +38,7 @@ def _see_and_gather(scene, camera, work, pixels, pass_index, lights, count, boun
     """First vertices and their virtual lights, for whole tiles. Returns (rays to see, shadow rays)."""
     seen, shadows = 0, 0
     for first in range(0, pixels.shape[0], LANES):
-        used, rays = full_radiance.see_tile(scene, camera, work, pixels, first, 1, pass_index)
+        used, rays = full_radiance.see_tile(scene, camera, work, pixels, first, 1, pass_index, False)
         seen += rays
         if used > 0 and count > 0:
             shadows += full_radiance.gather_lights(scene, work, lights, count, np.float32(bound))
@@ -110,8 +110,7 @@ class Subject:
     def _method(self, name: str) -> Any:
         if name not in self._methods:
             config = msgspec.structs.replace(self.config, method=name)
-            maps = prepare_forecast(SerialWorld(), config, self.scene, Stopwatch()).maps
-            self._methods[name] = make_method(config, self.scene.traced, self.camera, maps, self.scene.extent)
+            self._methods[name], _ = prepare_method(SerialWorld(), config, self.scene, self.camera, Stopwatch())
         return self._methods[name]
 
     def path_tracing(self) -> tuple[int, float]:

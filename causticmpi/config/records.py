@@ -75,9 +75,10 @@ class Forecast(Record):
     or `mis` (table and BRDF, balance heuristic); clustering: vector quantization or k-means;
     photons: caustic points to collect; clusters: codewords of the clustering; neighbours: n of the gather;
     table: bins in azimuth and cosine; max_rank: clusters of a higher rank are not gathered from; splitting:
-    samples of each table, or of cones, at rank 0 and diffuse depth 0; radius, overlap: gather radius and the epsilon
-    around a cluster in scene units, `auto` derives them from the average photon density; aim: box towards which most
-    photons are shot, `auto` around all specular surfaces, `off`.
+    samples of each table, or of cones, at rank 0 and diffuse depth 0; light_tracing: with `mixture`, light paths draw
+    the caustics that the eye sees directly; radius, overlap: gather radius and the epsilon around a cluster in scene
+    units, `auto` derives them from the average photon density; aim: box towards which most photons are shot, `auto`
+    around all specular surfaces, `off`.
     """
 
     sampling: Literal["mixture", "two", "one", "one-cosine", "one-smooth", "mis"] = "mixture"
@@ -88,6 +89,7 @@ class Forecast(Record):
     table: tuple[PositiveInt, PositiveInt] = (32, 16)
     max_rank: Count = 8
     splitting: PositiveInt = 2
+    light_tracing: bool = True
     radius: Positive | Literal["auto"] = "auto"
     overlap: Positive | Literal["auto"] = "auto"
     aim: Literal["off", "auto"] | Box = "off"

@@ -19,6 +19,7 @@ from causticmpi.kernels.jit import source_hash
 from causticmpi.output.checkpoint import Checkpoint, find_checkpoint
 from causticmpi.output.directory import EXR, PNG, REPORT
 from causticmpi.preprocess.forecast import ForecastMaps
+from causticmpi.preprocess.guides import Guides
 
 NOT_SAMPLES = ("scene", "camera", "budget", "output")
 """Sections of a config that no sample depends on, or that the scene's hash covers."""
@@ -85,10 +86,11 @@ def _flat(value: Any, key: str) -> Iterator[tuple[str, Any]]:
         yield key, value
 
 
-def maps_hash(maps: ForecastMaps) -> str:
-    """sha256 (hex) of all arrays and numbers of the maps."""
+def maps_hash(maps: ForecastMaps, guides: Guides) -> str:
+    """sha256 (hex) of all arrays and numbers of the maps and guides."""
     digest = hashlib.sha256()
-    for name, value in maps._asdict().items():
+    learned = (*guides.virtual_lights, *guides.light_tracing, guides.paths_per_pixel)
+    for name, value in (*maps._asdict().items(), *enumerate(learned)):
         array = np.ascontiguousarray(value)
         digest.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
         digest.update(array.tobytes())

@@ -19,7 +19,7 @@ from causticmpi.distributed.prepare import (
     Forecasting,
     PreparedScene,
     needs_forecast,
-    prepare_forecast,
+    prepare_method,
     share_scene,
 )
 from causticmpi.distributed.result import Merged, Result
@@ -39,9 +39,10 @@ from causticmpi.output.report import provenance
 from causticmpi.render.features import first_hits
 from causticmpi.render.film import Film, quantum_for
 from causticmpi.render.foresight import of_scene
-from causticmpi.render.methods import BIASED, make_method
+from causticmpi.render.methods import BIASED, traces_light
 from causticmpi.render.precision import Precision
 from causticmpi.render.rounds import Batches, divide, equal_round
+from causticmpi.scene.content import has_specular
 from causticmpi.scene.data import SceneData
 from causticmpi.scene.tracing import camera_array
 
@@ -141,10 +142,11 @@ class _Run:
         self.camera = camera_array(scene.data.camera, config.film.width, config.film.height)
         self.pixels = pixel_order(window, config.film.width)
         quantum = quantum_for(scene.brightest)
-        self.film, self.pending = Film(slots, quantum), Film(slots, quantum)
+        light = traces_light(config) and has_specular(scene.data)
+        self.film, self.pending = Film(slots, quantum, light), Film(slots, quantum, light)
         self.precision = Precision()
         self.until = None if config.budget.until is None else Until(float(config.budget.until))
-        self.second = Film(slots if self.until else 0, quantum)
+        self.second = Film(slots if self.until else 0, quantum, light)
         self.limit = float(config.budget.time) if config.budget.time is not None else None
         self.rounds = self.round_passes = 0
         self.stopped_by = 0
@@ -185,14 +187,14 @@ class _Run:
     def forecast(self) -> None:
         """The preprocess, on rank 0, and the workspace of the method on every rank."""
         self._say("forecast")
-        self.forecasting: Forecasting = prepare_forecast(self.world, self.config, self.scene, self.watch)
-        method = make_method(self.config, self.scene.traced, self.camera, self.forecasting.maps, self.scene.extent)
+        self.forecasting: Forecasting
+        method, self.forecasting = prepare_method(self.world, self.config, self.scene, self.camera, self.watch)
         self.batches = Batches(method, self.pixels, self.film.slots)
         if self.world.is_root:
             self.forecasting.warnings = (*of_scene(self.config, self.scene.data), *self.forecasting.warnings)
             for warning in self.forecasting.warnings:
                 print(f"causticmpi: warning: {warning}", file=sys.stderr)
-            self.maps_hash = maps_hash(self.forecasting.maps)
+            self.maps_hash = maps_hash(self.forecasting.maps, self.forecasting.guides)
             if self.state is not None and self.state.maps != self.maps_hash:
                 print(
                     "causticmpi: warning: this machine makes other forecast maps of the same seed: the picture stays "
@@ -302,7 +304,9 @@ class _Run:
     def _trace_round(self, passes: int) -> tuple[bool, int]:
         """Trace a round together. All ranks learn: was it dropped, and the signal that stopped it, or 0."""
         self.pending.clear()
-        shares = divide(self.film.passes, passes, len(self.pixels) // 16, self.world.size)
+        shares = divide(
+            self.film.passes, passes, len(self.pixels) // 16, self.world.size, self.batches.method.light_paths > 0
+        )
         mine = (shares[i] for i in self.world.hand_out(len(shares)))
         whole = self.batches.trace(mine, self.pending, self._must_stop)
         dropped, signal = divmod(self.world.all_max(self.flag.raised + (0 if whole else DROPPED)), DROPPED)

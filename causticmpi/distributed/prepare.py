@@ -1,6 +1,6 @@
 """Before the first pass: the scene on every rank, compiled kernels on every node, forecast maps from rank 0."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any, TypeVar
 
 import numpy as np
@@ -12,10 +12,11 @@ from causticmpi.kernels.embree import EmbreeScene, ray_buffer
 from causticmpi.kernels.traced_scene import TracedScene
 from causticmpi.preprocess.aim import emission_aim
 from causticmpi.preprocess.forecast import ClusterStatistics, ForecastMaps, build_forecast, no_forecast
+from causticmpi.preprocess.guides import Guides, learn_guides, no_guides
 from causticmpi.preprocess.photon_map import PhotonMap, build_photon_map, no_photon_map
 from causticmpi.preprocess.photons import CausticPoints, shoot_photons
 from causticmpi.render.foresight import of_photon_map, of_photons
-from causticmpi.render.methods import FORECASTING
+from causticmpi.render.methods import FORECASTING, Method, bound_of, make_method
 from causticmpi.scene.content import extent, has_specular
 from causticmpi.scene.data import SceneData
 from causticmpi.scene.tracing import primitive_arrays, traced_scene
@@ -60,11 +61,33 @@ class Forecasting:
     emitted: int = 0
     rays: int = 0
     warnings: tuple[str, ...] = ()
+    guides: Guides = field(default_factory=no_guides)
 
 
 def needs_forecast(config: RenderConfig, scene: SceneData) -> bool:
     """Caustics are forecast only where the method asks for it and a surface is specular."""
     return config.method in FORECASTING and has_specular(scene) and config.forecast.photons > 0
+
+
+def prepare_method(
+    world: World, config: RenderConfig, scene: PreparedScene, camera: np.ndarray, watch: Stopwatch
+) -> tuple[Method, Forecasting]:
+    """Collective. The whole preprocess, and the method on every rank. camera: see kernels.camera."""
+    made = prepare_forecast(world, config, scene, watch)
+    made.guides = _prepare_guides(world, config, scene, camera, watch)
+    return make_method(config, scene.traced, camera, made.maps, scene.extent, made.guides), made
+
+
+def _prepare_guides(
+    world: World, config: RenderConfig, scene: PreparedScene, camera: np.ndarray, watch: Stopwatch
+) -> Guides:
+    """Rank 0 learns where from the lights the picture is lit; path tracing has no use for it."""
+    guides = no_guides()
+    if world.is_root and config.method not in ("pt", "pt-brute"):
+        film, bound = config.film, bound_of(config, scene.extent)
+        with watch.stage("guides"):
+            guides = learn_guides(scene.traced, camera, film.width, film.height, config.seed, bound)
+    return world.broadcast(guides)
 
 
 def prepare_forecast(world: World, config: RenderConfig, scene: PreparedScene, watch: Stopwatch) -> Forecasting:

@@ -4,18 +4,20 @@ import numpy as np
 
 from causticmpi.config.records import Camera, RenderConfig
 from causticmpi.distributed.world import SerialWorld
-from causticmpi.estimators import iws_cf, iws_mixture, iws_pm, path_tracing, virtual_lights
+from causticmpi.estimators import iws_cf, iws_mixture, iws_pm, light_tracing, path_tracing, virtual_lights
 from causticmpi.kernels import kdtree
 from causticmpi.kernels.embree import ray_buffer
 from causticmpi.kernels.jit import compiled_anew
 from causticmpi.kernels.pixels import pixel_order
-from causticmpi.preprocess import directions, forecast, k_means, photon_map, photons, vector_quantization
+from causticmpi.preprocess import cells, directions, forecast, k_means, photon_map, photons, vector_quantization
+from causticmpi.preprocess import guides as guides_room
 from causticmpi.preprocess.forecast import ForecastMaps, build_forecast
+from causticmpi.preprocess.guides import learn_guides
 from causticmpi.preprocess.photon_map import PhotonMap, build_photon_map, no_photon_map
 from causticmpi.preprocess.photons import CausticPoints, shoot_photons
 from causticmpi.render import features, film, precision
 from causticmpi.render.film import Film
-from causticmpi.render.methods import make_method
+from causticmpi.render.methods import make_method, traces_light
 from causticmpi.scene.data import SceneData
 from causticmpi.scene.tracing import camera_array
 
@@ -27,6 +29,11 @@ KERNELS = [
     iws_mixture.trace_iws_mixture,
     iws_pm.trace_iws_pm,
     photons._shoot,
+    guides_room._see_views,
+    guides_room._shoot,
+    cells._keys,
+    cells._fill,
+    light_tracing.trace_light_paths,
     vector_quantization._compete,
     vector_quantization.assign,
     k_means._move_to_means,
@@ -35,6 +42,7 @@ KERNELS = [
     directions._companion_cosines,
     kdtree.build_trees,
     film._accumulate,
+    film._accumulate_light,
     precision._group_variance,
     features.first_hits,
 ]
@@ -88,6 +96,8 @@ def warm_up(config: RenderConfig, root: bool, forecasting: bool) -> bool:
     if root:
         features.first_hits(scene.traced, camera, rays, pixels, np.zeros((16, 7), np.float32))
     mapping = config.method == "iws+pm"
+    if root and config.method not in ("pt", "pt-brute"):
+        learn_guides(scene.traced, camera, 4, 4, 0, 1.0)
     if root and (forecasting or mapping):
         shoot_photons(scene.traced, rays, 0, 1)
         points = CausticPoints(*(np.ones((4, 3), np.float32) for _ in range(4)))
@@ -110,5 +120,10 @@ def warm_up(config: RenderConfig, root: bool, forecasting: bool) -> bool:
         groups = precision.Precision()
         groups.take(sums.sums, 2, 1.0)
         groups.take(sums.sums, 4, 1.0)
+    if traces_light(config) and forecasting:
+        light_film = np.zeros((16, 3), np.float32)
+        method.light_paths = 1
+        method.trace_light(0, 0, 1, light_film)
+        Film(16, 2.0**-40, light=True).add_light(light_film)
     scene.embree.close()
     return compiled_anew(KERNELS) > before

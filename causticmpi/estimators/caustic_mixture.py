@@ -1,6 +1,7 @@
 """Caustic directions from a mixture under the balance heuristic: samplers, each beside its pdf (solid angle).
 
   fine    narrow cones around the directions of the photons gathered near by;
+  cell    cones around a few directions of the cell of a grid: O(1), at vertices too many or too deep to gather at;
   coarse  the aggregated directions of the whole cluster, a table made in the preprocess: O(1), and silent nowhere;
   brdf    `bsdf.sample`, which reaches every direction: with a share of it the estimate is unbiased whatever the
           photons are.
@@ -19,6 +20,7 @@ from causticmpi.kernels.jit import inline
 from causticmpi.kernels.kdtree import MAX_DEPTH
 from causticmpi.kernels.vec import HALF, INV_TWO_PI, ONE, TWO, TWO_PI, ZERO
 from causticmpi.kernels.warp import pick
+from causticmpi.preprocess.cells import KEPT
 from causticmpi.preprocess.directions import COLUMNS, ROWS
 from causticmpi.preprocess.forecast import ForecastMaps, cluster_of
 
@@ -95,14 +97,21 @@ def weigh_fine(scene, work, group, n, wo, material):
 
 
 @inline
+def _in_cone(axis, height, u, v):
+    """Uniform direction in a cone; height: 1 - cosine of its half angle, for near 1 the cosine is too coarse in
+    float32."""
+    height *= u
+    sine = math.sqrt(height * (TWO - height))
+    phi = TWO_PI * v
+    return vec.to_world((sine * math.cos(phi), sine * math.sin(phi), ONE - height), axis)
+
+
+@inline
 def sample_fine(work, group, total, choice, u, v):
     """Uniform direction in the cone around a photon chosen by weight; total > 0. It may lie below the horizon."""
     i = pick(work.cdf[: work.count[group]], choice * total)
     axis = (work.photons[group, 0, i], work.photons[group, 1, i], work.photons[group, 2, i])
-    height = u * (ONE - work.cone[group])  # 1 - cosine: near 1 the cosine itself is too coarse in float32
-    sine = math.sqrt(height * (TWO - height))
-    phi = TWO_PI * v
-    return vec.to_world((sine * math.cos(phi), sine * math.sin(phi), ONE - height), axis)
+    return _in_cone(axis, ONE - work.cone[group], u, v)
 
 
 @inline
@@ -149,3 +158,24 @@ def coarse_pdf(maps, cluster, direction):
     i = coarse_bin(direction)
     before = maps.coarse[cluster, i - 1] if i > 0 else ZERO
     return (maps.coarse[cluster, i] - before) * (np.float32(COLUMNS * ROWS) * HALF * INV_TWO_PI)
+
+
+@inline
+def sample_cell(maps, cell, choice, u, v):
+    """Uniform direction in the cone around one of a cell's directions. It may lie below the horizon."""
+    i = np.int64(choice * np.float32(KEPT))
+    axis = (maps.cell_direction[cell, 0, i], maps.cell_direction[cell, 1, i], maps.cell_direction[cell, 2, i])
+    return _in_cone(axis, ONE - maps.cell_cone[cell], u, v)
+
+
+@inline
+def cell_pdf(maps, cell, direction):
+    """Density of `sample_cell`."""
+    height = ONE - maps.cell_cone[cell]
+    inside: Any = 0
+    for i in range(KEPT):
+        x = maps.cell_direction[cell, 0, i] - direction[0]
+        y = maps.cell_direction[cell, 1, i] - direction[1]
+        z = maps.cell_direction[cell, 2, i] - direction[2]
+        inside += np.int64(x * x + y * y + z * z <= TWO * height)
+    return np.float32(inside) * (INV_TWO_PI / np.float32(KEPT)) / height

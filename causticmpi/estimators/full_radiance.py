@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from causticmpi.estimators import weak_singularities as ws
+from causticmpi.estimators.light_tracing import owns
 from causticmpi.kernels import bsdf, rng, vec
 from causticmpi.kernels.camera import lane_direction, see_packet
 from causticmpi.kernels.embree import LANES, lane_hit
@@ -28,8 +29,8 @@ class PassWork(NamedTuple):
     """Workspace of a pass: packet (see weak_singularities), per-lane and per-vertex records, the forecast's workspace.
 
     vertex (STACK, 13) float32: p (off its surface), offset, n, wo, throughput; tag (STACK, 3) int64: material, depth,
-    layer; key (STACK,) uint64. lane (16, 4) float32: throughput and in use; lane_material, lane_key (16,); le (16, 3):
-    light of the tile's pixels so far.
+    layer; key (STACK,) uint64. lane (16, 5) float32: throughput, in use, and drawn (light tracing owns its caustics);
+    lane_material, lane_key (16,); le (16, 3): light of the tile's pixels so far.
     """
 
     packet: Any
@@ -50,7 +51,7 @@ def pass_work(forecast: Any) -> PassWork:
         vertex=np.zeros((STACK, 13), np.float32),
         tag=np.zeros((STACK, 3), np.int64),
         key=np.zeros(STACK, np.uint64),
-        lane=np.zeros((LANES, 4), np.float32),
+        lane=np.zeros((LANES, 5), np.float32),
         lane_material=np.zeros(LANES, np.int64),
         lane_key=np.zeros(LANES, np.uint64),
         le=np.zeros((LANES, 3), np.float32),
@@ -59,8 +60,11 @@ def pass_work(forecast: Any) -> PassWork:
 
 
 @inline
-def see_tile(scene, camera, work, pixels, first, seed, pass_index):
-    """Find the first non-specular vertex behind each of 16 pixels. Returns (vertices in use, rays traced)."""
+def see_tile(scene, camera, work, pixels, first, seed, pass_index, splats):
+    """Find the first non-specular vertex behind each of 16 pixels. Returns (vertices in use, rays traced).
+
+    splats: light tracing draws the caustics on what it owns of what is seen directly.
+    """
     packet = work.packet
     used = 0
     traced = see_packet(scene, camera, packet, pixels, first, seed, pass_index)
@@ -69,14 +73,14 @@ def see_tile(scene, camera, work, pixels, first, seed, pass_index):
             packet[ws.NORMAL + 16 * c + i] = ZERO
             work.le[i, c] = ZERO
         packet[ws.EPSILON + i] = ZERO
-        work.lane[i, 3] = ZERO
+        work.lane[i, 3] = work.lane[i, 4] = ZERO
         if pixels[first + i, 0] < 0:
             continue
         key = rng.make_key(seed, rng.CAMERA, pass_index, pixels[first + i, 2])
         origin, direction = vec.row(camera, 0), lane_direction(packet, i)
-        primitive, t = lane_hit(scene.triangle_count, packet, i)
+        seen, t = lane_hit(scene.triangle_count, packet, i)
         primitive, p, n, offset, direction, throughput, more = follow_chain(
-            scene, packet, origin, direction, primitive, t, WHITE, rng.subkey(key, CHAIN)
+            scene, packet, origin, direction, seen, t, WHITE, rng.subkey(key, CHAIN)
         )
         traced += more
         if primitive < 0:
@@ -96,6 +100,8 @@ def see_tile(scene, camera, work, pixels, first, seed, pass_index):
             work.lane[i, c] = throughput[c]
         packet[ws.EPSILON + i] = offset
         work.lane[i, 3] = ONE
+        if splats and not is_specular(scene.kind[scene.material[seen]]) and owns(scene, material):
+            work.lane[i, 4] = ONE
         work.lane_material[i] = material
         work.lane_key[i] = key
         used += 1

@@ -126,7 +126,7 @@ def trace_iws_cf(
     bound = np.float32(bound)
     compensation_reach = math.sqrt(np.float32(most_peak) / bound)
     for first in range(0, pixels.shape[0], LANES):
-        used, rays = fr.see_tile(scene, camera, work, pixels, first, seed, pass_index)
+        used, rays = fr.see_tile(scene, camera, work, pixels, first, seed, pass_index, False)
         traced += rays
         if used > 0:
             traced += fr.gather_lights(scene, work, lights, count, bound)

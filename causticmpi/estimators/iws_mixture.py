@@ -1,11 +1,14 @@
 """One pass of IWS+CF with mixture sampling, our rival to the paper's two tables (`forecast.sampling: mixture`).
 
 At every non-specular vertex one set of rays serves the compensation and the caustics alike: each ray has the density of
-the whole mixture (caustic_mixture), a hit on D is compensation, a hit on S a caustic. The first vertex has S fine, one
-coarse and one BRDF ray; deeper vertices have one ray, coarse or BRDF by the toss of a coin, so paths do not branch
-there.
+the whole mixture (caustic_mixture), a hit on D is compensation, a hit on S a caustic. The first vertex has S fine rays
+or, where photons are thin, one from its cell, one coarse and one BRDF ray; deeper vertices have one ray, from their
+cell, coarse or BRDF by chance, so paths do not branch there. Where light tracing draws the caustics of the first
+vertex, only the compensation is left of all this.
 Photons are gathered once for the vertices of a tile that lie close together: a forecast is only a pdf.
 """
+
+import math
 
 import numpy as np
 
@@ -17,10 +20,12 @@ from causticmpi.kernels import bsdf, rng, vec
 from causticmpi.kernels.embree import LANES, intersect
 from causticmpi.kernels.jit import inline, kernel
 from causticmpi.kernels.pixels import add_sample
-from causticmpi.kernels.vec import BLACK, HALF, INFINITY, ONE, TWO, ZERO
+from causticmpi.kernels.traced_scene import is_specular
+from causticmpi.kernels.vec import BLACK, HALF, INFINITY, TWO, ZERO
+from causticmpi.preprocess.cells import cell_of
 from causticmpi.preprocess.forecast import cluster_of
 
-ALMOST_ONE = np.float32(0.99999994)
+ALMOST_ONE, THIRD = np.float32(0.99999994), np.float32(1 / 3)
 
 
 @inline
@@ -32,13 +37,13 @@ def _gather_for_tile(maps, work):
     for i in range(LANES):
         near.group[i] = -1
     for i in range(LANES):
-        if work.lane[i, 3] == ZERO or near.group[i] >= 0:
+        if work.lane[i, 3] == ZERO or work.lane[i, 4] > ZERO or near.group[i] >= 0:
             continue
         p = (packet[ws.POINT + i], packet[ws.POINT + 16 + i], packet[ws.POINT + 32 + i])
         n = (packet[ws.NORMAL + i], packet[ws.NORMAL + 16 + i], packet[ws.NORMAL + 32 + i])
         cm.gather_group(maps, near, groups, p, n)
         for j in range(i, LANES):
-            if work.lane[j, 3] == ZERO or near.group[j] >= 0:
+            if work.lane[j, 3] == ZERO or work.lane[j, 4] > ZERO or near.group[j] >= 0:
                 continue
             q = (packet[ws.POINT + j], packet[ws.POINT + 16 + j], packet[ws.POINT + 32 + j])
             m = (packet[ws.NORMAL + j], packet[ws.NORMAL + 16 + j], packet[ws.NORMAL + 32 + j])
@@ -49,53 +54,126 @@ def _gather_for_tile(maps, work):
 
 
 @inline
-def _expand(scene, work, lights, count, maps, few, bound, top, lane):
-    """Take the vertex on top of the stack, estimate its radiance, push the vertices that carry light to it.
+def _compensate(scene, work, bound, reach, lane):
+    """The first vertex of a lane whose caustics light tracing draws: all that is left is its compensation ray.
 
-    Returns the new top, the layer of the vertex, what it adds to that layer and what to L_c; rays traced, and vertices
-    lost to a full stack.
+    reach: sqrt(largest peak / bound); beyond sqrt(cos) of it G s <= b for any surface. What lies on S is not looked at.
+    Returns the new top, what it adds to L_d, rays traced and vertices lost.
+    """
+    p, _, n, wo, throughput, material, _, layer, key = fr.pop(work, 1)
+    ray_key = rng.subkey(key, fr.SAMPLE)
+    choice, survive = rng.uniform2(ray_key, fr.CHOICE)
+    u, v = rng.uniform2(ray_key, fr.DIRECTION)
+    direction, weight = bsdf.sample_weight(scene, material, n, wo, choice, u, v)
+    cosine = vec.dot(n, direction)
+    weight = vec.mul(throughput, weight)
+    if cosine <= ZERO or vec.max3(weight) <= ZERO:
+        return 0, BLACK, 0, 0
+    primitive, t = intersect(scene.handle, scene.triangle_count, work.packet, p, direction, math.sqrt(cosine) * reach)
+    if primitive < 0 or is_specular(scene.kind[scene.material[primitive]]):
+        return 0, BLACK, 1, 0
+    top, _, light, more, lost = fr.land(
+        scene, work, 0, p, n, wo, material, 0, layer, direction, weight, primitive, t, bound, survive, ray_key
+    )
+    return top, light, 1 + more, lost
+
+
+@inline
+def _choose(steered, choice):
+    """Which of the O(1) samplers draws the ray of a deeper vertex, and the rest of `choice`."""
+    count = np.float32(3) if steered else TWO
+    sampler = np.int64(choice * count)
+    return sampler, min(ALMOST_ONE, choice * count - np.float32(sampler))
+
+
+@inline
+def _expand_deep(scene, work, lights, count, maps, few, bound, top):
+    """Take a deeper vertex from the stack, estimate its radiance by a few virtual lights and one ray, push the vertex
+    that carries light to it.
+
+    Returns the new top, the layer of the vertex, what it adds to that layer; rays traced, and vertices lost to a full
+    stack.
     """
     p, offset, n, wo, throughput, material, depth, layer, key = fr.pop(work, top)
     top -= 1
+    start, _ = rng.uniform2(key, fr.FEW)
+    light, traced = ws.gather_few(scene, work.packet, lights, count, few, p, n, offset, wo, material, bound, start)
+    own = vec.mul(throughput, light)
+    cluster = np.int64(cluster_of(maps, p, n, work.forecast.codeword_distance))
+    cell = cell_of(maps, p, n)
+    steered = cell >= 0
+    ray_key = rng.subkey(key, fr.SAMPLE)
+    choice, survive = rng.uniform2(ray_key, fr.CHOICE)
+    u, v = rng.uniform2(ray_key, fr.DIRECTION)
+    sampler, choice = _choose(steered, choice)
+    if sampler == 0:
+        direction = bsdf.sample(scene, material, n, wo, choice, u, v)
+    elif sampler == 1:
+        direction = cm.sample_coarse(maps, cluster, choice, u, v)
+    else:
+        direction = cm.sample_cell(maps, cell, choice, u, v)
+    cosine = vec.dot(n, direction)
+    if cosine <= ZERO:
+        return top, layer, own, traced, 0
+    density = bsdf.pdf(scene, material, n, wo, direction) + cm.coarse_pdf(maps, cluster, direction)
+    if steered:
+        density = (density + cm.cell_pdf(maps, cell, direction)) * THIRD
+    else:
+        density *= HALF
+    weight = vec.scale(bsdf.evaluate(scene, material, n, wo, direction), cosine / density)
+    weight = vec.mul(throughput, weight)
+    if vec.max3(weight) <= ZERO:
+        return top, layer, own, traced, 0
+    primitive, t = intersect(scene.handle, scene.triangle_count, work.packet, p, direction, INFINITY)
+    traced += 1
+    if primitive < 0:
+        return top, layer, own, traced, 0
+    top, _, light, more, lost = fr.land(
+        scene, work, top, p, n, wo, material, depth, layer, direction, weight, primitive, t, bound, survive, ray_key
+    )
+    return top, layer, vec.add(own, light), traced + more, lost
+
+
+@inline
+def _expand_first(scene, work, maps, bound, lane):
+    """Estimate the radiance of the first vertex of a lane without its virtual lights, push the vertices that carry
+    light to it.
+
+    Returns the new top, what it adds to L_d and to L_c; rays traced, and vertices lost to a full stack.
+    """
+    p, _, n, wo, throughput, material, depth, layer, key = fr.pop(work, 1)
+    top = 0
     own, caustic = BLACK, BLACK
     traced, lost = 0, 0
     near = work.forecast
-    if depth == 0:
-        group = near.group[lane]
-        cluster = near.cluster[group]
-        fine_total = cm.weigh_fine(scene, near, group, n, wo, material)
-        fine = splitting(maps, maps.rank[cluster], 0) if fine_total > ZERO else 0
-        rays, share = fine + 2, ONE
-    else:
-        start, _ = rng.uniform2(key, fr.FEW)
-        light, shadows = ws.gather_few(scene, work.packet, lights, count, few, p, n, offset, wo, material, bound, start)
-        own = vec.mul(throughput, light)
-        traced += shadows
-        group = np.int64(0)
-        cluster = np.int64(cluster_of(maps, p, n, near.codeword_distance))
-        fine_total, fine = ZERO, 0
-        rays, share = 1, HALF
-    for j in range(rays):
+    group = near.group[lane]
+    cluster = near.cluster[group]
+    fine_total = cm.weigh_fine(scene, near, group, n, wo, material)
+    fine = splitting(maps, maps.rank[cluster], 0) if fine_total > ZERO else 0
+    cell = cell_of(maps, p, n) if fine == 0 else np.int64(-1)
+    steered = fine if fine > 0 else np.int64(cell >= 0)
+    for j in range(steered + 2):
         ray_key = rng.subkey(key, fr.SAMPLE + j)
         choice, survive = rng.uniform2(ray_key, fr.CHOICE)
         u, v = rng.uniform2(ray_key, fr.DIRECTION)
-        coarse = j == 1
-        if depth > 0:
-            coarse = choice < HALF
-            choice = min(ALMOST_ONE, (choice if coarse else choice - HALF) * TWO)
-        if coarse:
-            direction = cm.sample_coarse(maps, cluster, choice, u, v)
-        elif j == 0:
+        if j == 0:
             direction = bsdf.sample(scene, material, n, wo, choice, u, v)
+        elif j == 1:
+            direction = cm.sample_coarse(maps, cluster, choice, u, v)
+        elif fine > 0:
+            stratum = (np.float32(j - 2) + choice) / np.float32(fine)
+            direction = cm.sample_fine(near, group, fine_total, min(ALMOST_ONE, stratum), u, v)
         else:
-            direction = cm.sample_fine(near, group, fine_total, choice, u, v)
+            direction = cm.sample_cell(maps, cell, choice, u, v)
         cosine = vec.dot(n, direction)
         if cosine <= ZERO:
             continue
         # Balance heuristic: the sum of what all samplers would do, times how often each is asked [Veach 1997, (9.8)].
-        density = share * (bsdf.pdf(scene, material, n, wo, direction) + cm.coarse_pdf(maps, cluster, direction))
+        density = bsdf.pdf(scene, material, n, wo, direction) + cm.coarse_pdf(maps, cluster, direction)
         if fine > 0:
             density += np.float32(fine) * cm.fine_pdf(near, group, fine_total, direction)
+        elif cell >= 0:
+            density += cm.cell_pdf(maps, cell, direction)
         weight = vec.scale(bsdf.evaluate(scene, material, n, wo, direction), cosine / density)
         weight = vec.mul(throughput, weight)
         if vec.max3(weight) <= ZERO:
@@ -113,20 +191,24 @@ def _expand(scene, work, lights, count, maps, few, bound, top, lane):
             own = vec.add(own, light)
         else:
             caustic = vec.add(caustic, light)
-    return top, layer, own, caustic, traced, lost
+    return top, own, caustic, traced, lost
 
 
 @kernel
-def trace_iws_mixture(scene, camera, work, pixels, seed, pass_index, lights, count, maps, few, bound, film):
+def trace_iws_mixture(
+    scene, camera, work, pixels, seed, pass_index, lights, count, maps, few, bound, most_peak, splats, film
+):
     """One sample of L_d and L_c for every row of `pixels` (n, 4), n a multiple of 16.
 
-    lights, count: virtual lights of the pass; maps: forecast maps with at least one codeword; bound: b [units^-2]. Adds
-    to `film`. Returns (rays traced, vertices lost to a full stack: 0 unless something is badly wrong).
+    lights, count: virtual lights of the pass; maps: forecast maps with at least one codeword; bound: b [units^-2];
+    most_peak: largest `bsdf.peak` of the scene; splats: light tracing draws what it owns. Adds to `film`.
+    Returns (rays traced, vertices lost to a full stack: 0 unless something is badly wrong).
     """
     traced, lost = 0, 0
     bound = np.float32(bound)
+    compensation_reach = math.sqrt(np.float32(most_peak) / bound)
     for first in range(0, pixels.shape[0], LANES):
-        used, rays = fr.see_tile(scene, camera, work, pixels, first, seed, pass_index)
+        used, rays = fr.see_tile(scene, camera, work, pixels, first, seed, pass_index, splats)
         traced += rays
         if used > 0:
             traced += fr.gather_lights(scene, work, lights, count, bound)
@@ -136,11 +218,18 @@ def trace_iws_mixture(scene, camera, work, pixels, seed, pass_index, lights, cou
                 continue
             diffusive, caustic = vec.row(work.le, i), BLACK
             top = fr.push_lane(work, i)
-            while top > 0:
-                top, layer, own, extra, rays, missing = _expand(scene, work, lights, count, maps, few, bound, top, i)
+            if top > 0:
+                if work.lane[i, 4] > ZERO:
+                    top, own, rays, missing = _compensate(scene, work, bound, compensation_reach, i)
+                else:
+                    top, own, caustic, rays, missing = _expand_first(scene, work, maps, bound, i)
+                diffusive = vec.add(diffusive, own)
                 traced += rays
                 lost += missing
-                caustic = vec.add(caustic, extra)
+            while top > 0:
+                top, layer, own, rays, missing = _expand_deep(scene, work, lights, count, maps, few, bound, top)
+                traced += rays
+                lost += missing
                 if layer == fr.DIFFUSIVE:
                     diffusive = vec.add(diffusive, own)
                 else:

@@ -1,7 +1,8 @@
 """Virtual point lights (VPLs), renewed every pass [CF sec. 3.1].
 
 Direct ones lie on the emitters, indirect ones at every non-specular vertex of the particle paths, also after a specular
-chain (else the paths L S+ D D E were lost). They come from natural emission only: aimed photons must never get here.
+chain (else the paths L S+ D D E were lost). Their emission may be guided, for a guide leaves nothing out; photons aimed
+at specular objects must never get here.
 The first bounces of a pass are stratified by a randomly shifted Halton sequence, which leaves each pass unbiased.
 """
 
@@ -10,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from causticmpi.kernels import bsdf, particles, rng, vec
+from causticmpi.kernels.emission import emit
 from causticmpi.kernels.eye_path import facing
 from causticmpi.kernels.jit import inline, kernel
 from causticmpi.kernels.vec import INV_PI, ONE, ZERO
@@ -79,8 +81,8 @@ def _store(lights, i, p, n, offset, intensity, arrival, material, peak):
 
 
 @kernel
-def trace_virtual_lights(scene, rays, seed, pass_index, paths, lights):
-    """Trace `paths` particle paths; returns (number of lights, rays traced).
+def trace_virtual_lights(scene, rays, guide, seed, pass_index, paths, lights):
+    """Trace `paths` particle paths from guided emission; returns (number of lights, rays traced).
 
     Where the number exceeds the room in `lights`, the rest was counted but not stored: enlarge and call again.
     """
@@ -93,14 +95,11 @@ def trace_virtual_lights(scene, rays, seed, pass_index, paths, lights):
     s6, _ = rng.uniform2(shift, 3)
     for path in range(paths):
         key = rng.make_key(seed, rng.PARTICLE, pass_index, path)
-        _, p, n, offset, power = particles.emit(
-            scene, _halton(17, path, s6), _halton(2, path, s0), _halton(3, path, s1)
-        )
-        power = vec.scale(power, share)
+        u, v, w = _halton(17, path, s6), _halton(2, path, s0), _halton(3, path, s1)
+        p, n, offset, power, direction, flux = emit(scene, guide, u, v, w, _halton(5, path, s2), _halton(7, path, s3))
+        power, flux = vec.scale(power, share), vec.scale(flux, share)
         _store(lights, count, p, n, offset, power, n, -1, ONE)
         count += 1
-        direction = particles.emission_direction(n, _halton(5, path, s2), _halton(7, path, s3))
-        flux = vec.scale(power, particles.PARTICLE_FLUX)
         origin = vec.along(p, n, offset)
         bounce = 0
         while vec.max3(flux) > ZERO:

@@ -12,6 +12,7 @@ from causticmpi.distributed.prepare import Forecasting, PreparedScene, make_fore
 from causticmpi.distributed.world import SerialWorld
 from causticmpi.estimators.virtual_lights import VirtualLights, empty_virtual_lights, trace_virtual_lights
 from causticmpi.kernels.embree import ray_buffer
+from causticmpi.kernels.emission import natural_emission
 from causticmpi.preprocess.forecast import ClusterStatistics, no_forecast
 from causticmpi.preprocess.photons import CausticPoints
 from causticmpi.preprocess.vector_quantization import assign, features
@@ -77,9 +78,13 @@ def _virtual_lights(config: RenderConfig, scene: PreparedScene, passes: int) -> 
     """The lights of the first passes, one after the other, without unused rows."""
     rays, room, found = ray_buffer(), empty_virtual_lights(64 * config.iws.paths), []
     for index in range(passes):
-        count, _ = trace_virtual_lights(scene.traced, rays, config.seed, index, config.iws.paths, room)
+        count, _ = trace_virtual_lights(
+            scene.traced, rays, natural_emission(), config.seed, index, config.iws.paths, room
+        )
         if count > len(room.offset):
             room = empty_virtual_lights(2 * count)
-            count, _ = trace_virtual_lights(scene.traced, rays, config.seed, index, config.iws.paths, room)
+            count, _ = trace_virtual_lights(
+                scene.traced, rays, natural_emission(), config.seed, index, config.iws.paths, room
+            )
         found.append([column[:count].copy() for column in room])
     return VirtualLights(*(np.concatenate(columns) for columns in zip(*found, strict=True)))

@@ -16,6 +16,17 @@ def primary_ray(camera, x, y):
 
 
 @inline
+def film_position(camera, d):
+    """Film position (x, y) in pixels of a point d away from the eye, the inverse of `primary_ray`, and depth, d along
+    the optical axis [scene units]. The position means nothing for a depth of 0 or less."""
+    right, down = vec.row(camera, 2), vec.row(camera, 3)
+    step2 = vec.dot(right, right)
+    depth = vec.dot(d, vec.cross(right, down)) / step2
+    at = vec.sub(vec.scale(d, ONE / depth), vec.row(camera, 1))
+    return vec.dot(at, right) / step2, vec.dot(at, down) / step2, depth
+
+
+@inline
 def see_packet(scene, camera, rays, pixels, first, seed, pass_index):
     """Trace the eye rays of 16 rows of `pixels`, a sample somewhere in each, as one packet. Returns the rays traced.
 

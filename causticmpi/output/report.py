@@ -21,6 +21,7 @@ STAGES = (
     "photons",
     "clustering",
     "trees",
+    "guides",
     "broadcast",
     "tracing",
     "tables",

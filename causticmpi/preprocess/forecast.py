@@ -9,6 +9,7 @@ import numpy as np
 
 from causticmpi.kernels import kdtree
 from causticmpi.kernels.jit import inline, kernel
+from causticmpi.preprocess.cells import build_cells, cell_edge, no_cells
 from causticmpi.preprocess.directions import COLUMNS, ROWS, coarse_tables, cone_cosines
 from causticmpi.preprocess.k_means import k_means_codebook
 from causticmpi.preprocess.photons import CausticPoints
@@ -28,6 +29,8 @@ class ForecastMaps(NamedTuple):
     x, y, z, power (k,) float32, direction (k, 3) float32, axis (k,) uint8: forecast photons in tree order
     coarse (m, bins) float32: running sums of each cluster's directions; cone (m,) float32: cosine of its cones' half
     angle (see directions.py)
+    cell_size [scene units]; cell_key, cell_row (2^k,): hash table of occupied cells; cell_direction (cells, 3, KEPT),
+    cell_cone (cells,) float32: their directions and the cosine of their cones' half angle (see cells.py)
     normal_scale, radius: scene units; columns, rows: bins of the directional tables; neighbours: n
     """
 
@@ -42,6 +45,11 @@ class ForecastMaps(NamedTuple):
     axis: Any
     coarse: Any
     cone: Any
+    cell_size: float
+    cell_key: Any
+    cell_row: Any
+    cell_direction: Any
+    cell_cone: Any
     normal_scale: float
     radius: float
     max_rank: int
@@ -171,6 +179,7 @@ def build_forecast(
         axis=axis,
         coarse=coarse_tables(points.direction, power, cluster, count),
         cone=cone_cosines((x, y, z), axis, direction, start, radius, neighbours),
+        **build_cells(points.position, points.normal, points.direction, power, cell_edge(radius, neighbours)),
         normal_scale=scale,
         radius=radius,
         max_rank=max_rank,
@@ -198,6 +207,7 @@ def no_forecast(table: tuple[int, int] = (32, 16)) -> ForecastMaps:
         axis=np.empty(0, np.uint8),
         coarse=np.empty((0, COLUMNS * ROWS), np.float32),
         cone=floats,
+        **no_cells(),
         normal_scale=1.0,
         radius=1.0,
         max_rank=0,

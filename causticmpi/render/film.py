@@ -12,14 +12,23 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from causticmpi.kernels.jit import kernel
+from causticmpi.kernels.jit import inline, kernel
 
-CHANNELS = 12
-"""Per pixel: sum of L_d (3), sum of L_c (3), sums of the high (3) and low (3) parts of the squares of their total."""
+CHANNELS, LIGHT_CHANNELS = 12, 9
+"""Per pixel: sum of L_d (3), sum of L_c (3), sums of the high (3) and low (3) parts of the squares of their total; and,
+where light is traced, sum of its L_c (3), sums of the high (3) and low (3) parts of its squares. Light paths cross the
+tiles that ranks share, so their film has squares of its own: the two are independent, their variances add."""
 QUANTUM_BITS = 36
 BLOCK = 1024
 HIGH, LOW = 2.0**60, 2.0**24
 """Steps of the two parts of a square, in squares of the quantum: 2^17 low parts of up to 2^36 steps sum up to 2^53."""
+
+
+@inline
+def _parts_of_square(x, high_step, low_step):
+    square = x * x
+    high = np.floor(square / high_step) * high_step
+    return high, np.rint((square - high) / low_step) * low_step
 
 
 @kernel
@@ -38,15 +47,37 @@ def _accumulate(pass_film, sums, quantum):
         for c in range(3):
             d = np.float64(pass_film[i, c]) if finite else 0.0
             k = np.float64(pass_film[i, 3 + c]) if finite else 0.0
-            total = d + k
             sums[i, c] += np.rint(d * inverse) * quantum
             sums[i, 3 + c] += np.rint(k * inverse) * quantum
-            square = total * total
-            high = np.floor(square / high_step) * high_step
+            high, low = _parts_of_square(d + k, high_step, low_step)
             sums[i, 6 + c] += high
-            sums[i, 9 + c] += np.rint((square - high) / low_step) * low_step
+            sums[i, 9 + c] += low
             pass_film[i, c] = 0
             pass_film[i, 3 + c] = 0
+    return bad
+
+
+@kernel
+def _accumulate_light(light_film, sums, quantum):
+    """As `_accumulate`, a film of light paths (n, 3) into the sums' last LIGHT_CHANNELS."""
+    inverse = 1.0 / quantum
+    high_step, low_step = quantum * quantum * HIGH, quantum * quantum * LOW
+    bad = 0
+    for i in range(light_film.shape[0]):
+        finite = True
+        for c in range(3):
+            finite = finite and (abs(light_film[i, c]) < np.float32(3e38))
+        if not finite:
+            bad += 1
+        for c in range(3):
+            k = np.float64(light_film[i, c]) if finite else 0.0
+            light_film[i, c] = 0
+            if k == 0.0:
+                continue
+            high, low = _parts_of_square(k, high_step, low_step)
+            sums[i, CHANNELS + c] += np.rint(k * inverse) * quantum
+            sums[i, CHANNELS + 3 + c] += high
+            sums[i, CHANNELS + 6 + c] += low
     return bad
 
 
@@ -54,13 +85,14 @@ def _accumulate(pass_film, sums, quantum):
 class Film:
     """Sums of independent passes over the pixels of one window.
 
-    sums (slots, CHANNELS) float64; passes, nonfinite, rays: counts. `quantum` in units of radiance. touched:
-    which blocks of BLOCK rows may be other than 0, so that a rank's small part of a round is quickly merged and
-    forgotten.
+    light: whether there is room for light paths; sums (slots, channels) float64; passes, nonfinite, rays: counts.
+    `quantum` in units of radiance. touched: which blocks of BLOCK rows may be other than 0, so that a rank's small part
+    of a round is quickly merged and forgotten.
     """
 
     slots: int
     quantum: float
+    light: bool = False
     passes: int = 0
     nonfinite: int = 0
     rays: int = 0
@@ -68,7 +100,7 @@ class Film:
     touched: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
-        self.sums = np.zeros((self.slots, CHANNELS))
+        self.sums = np.zeros((self.slots, CHANNELS + (LIGHT_CHANNELS if self.light else 0)))
         self.touched = np.zeros(-(-self.slots // BLOCK), bool)
 
     def add_pass(self, pass_film: np.ndarray, rows: slice | None = None) -> None:
@@ -77,6 +109,11 @@ class Film:
         rows = slice(0, self.slots) if rows is None else rows
         self.nonfinite += _accumulate(pass_film[rows], self.sums[rows], self.quantum)
         self.touched[rows.start // BLOCK : -(-rows.stop // BLOCK)] = True
+
+    def add_light(self, light_film: np.ndarray) -> None:
+        """Add all light paths of one pass, (slots, 3) float32, and blank them."""
+        self.nonfinite += _accumulate_light(light_film, self.sums, self.quantum)
+        self.touched[:] = True
 
     def merge(self, other: "Film") -> None:
         """Add another film's sums and counts."""
@@ -108,8 +145,16 @@ def quantum_for(brightest: float) -> float:
 def resolve(sums: np.ndarray, passes: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """L_d, L_c and the variance of their sum's mean, each (slots, 3) float64; the variance is 0 for a single pass."""
     diffusive, caustic = sums[:, :3] / passes, sums[:, 3:6] / passes
-    mean = diffusive + caustic
+    variance = _variance(diffusive + caustic, sums[:, 6:CHANNELS], passes)
+    if sums.shape[1] > CHANNELS:
+        light = sums[:, CHANNELS : CHANNELS + 3] / passes
+        variance = variance + _variance(light, sums[:, CHANNELS + 3 :], passes)
+        caustic = caustic + light
+    return diffusive, caustic, variance
+
+
+def _variance(mean: np.ndarray, squares: np.ndarray, passes: int) -> np.ndarray:
+    """Of a mean (slots, 3), from the high and low parts of the sums of squares (slots, 6)."""
     if passes < 2:
-        return diffusive, caustic, np.zeros_like(mean)
-    spread = np.maximum((sums[:, 6:9] + sums[:, 9:]) / passes - mean * mean, 0)
-    return diffusive, caustic, spread / (passes - 1)
+        return np.zeros_like(mean)
+    return np.maximum((squares[:, :3] + squares[:, 3:]) / passes - mean * mean, 0) / (passes - 1)

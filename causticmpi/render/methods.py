@@ -17,11 +17,13 @@ from causticmpi.estimators.full_radiance import pass_work
 from causticmpi.estimators.iws_cf import trace_iws_cf
 from causticmpi.estimators.iws_mixture import trace_iws_mixture
 from causticmpi.estimators.iws_pm import trace_iws_pm
+from causticmpi.estimators.light_tracing import trace_light_paths
 from causticmpi.estimators.path_tracing import trace_paths, trace_paths_brute
 from causticmpi.estimators.virtual_lights import empty_virtual_lights, trace_virtual_lights
 from causticmpi.kernels.embree import ray_buffer
 from causticmpi.kernels.traced_scene import TracedScene
 from causticmpi.preprocess.forecast import ForecastMaps
+from causticmpi.preprocess.guides import Guides, no_guides
 from causticmpi.preprocess.photon_map import PhotonMap
 
 FORECASTING = ("iws+cf",)
@@ -31,13 +33,28 @@ BIASED = ("iws+pm",)
 
 
 class Method(Protocol):
-    """One estimator with its workspace."""
+    """One estimator with its workspace. light_paths: light paths of a pass, 0 for most methods."""
+
+    light_paths: int
 
     def begin_pass(self, pass_index: int) -> int:
         """What a pass needs before its pixels; returns rays traced."""
 
     def trace(self, pixels: np.ndarray, film: np.ndarray) -> int:
         """Add one sample for each row of `pixels` (see kernels.pixels) to the pass film; returns rays traced."""
+
+    def trace_light(self, pass_index: int, first: int, last: int, film: np.ndarray) -> int:
+        """Add light paths first … last-1 of a pass to a film (slots, 3) of L_c of their own; returns rays traced."""
+
+
+def whole_pass(method: Method, pass_index: int, pixels: np.ndarray, film: np.ndarray) -> int:
+    """Add all of a pass, its light paths too, to a film (slots, 6); returns rays traced."""
+    rays = method.begin_pass(pass_index) + method.trace(pixels, film)
+    if method.light_paths:
+        light = np.zeros((len(film), 3), np.float32)
+        rays += method.trace_light(pass_index, 0, method.light_paths, light)
+        film[:, 3:] += light
+    return rays
 
 
 @dataclass
@@ -49,12 +66,16 @@ class PathTracing:
     camera: np.ndarray
     seed: int
     pass_index: int = 0
+    light_paths: int = 0
 
     def __post_init__(self) -> None:
         self.rays = ray_buffer()
 
     def begin_pass(self, pass_index: int) -> int:
         self.pass_index = pass_index
+        return 0
+
+    def trace_light(self, pass_index: int, first: int, last: int, film: np.ndarray) -> int:
         return 0
 
     def trace(self, pixels: np.ndarray, film: np.ndarray) -> int:
@@ -68,9 +89,11 @@ class VirtualLighting:
     scene: TracedScene
     camera: np.ndarray
     seed: int
+    guides: Guides
     paths: int
     few: int
     bound: float
+    light_paths: int = 0
     pass_index: int = 0
     lights: Any = None
     light_count: int = 0
@@ -83,11 +106,16 @@ class VirtualLighting:
     def begin_pass(self, pass_index: int) -> int:
         self.pass_index = pass_index
         while True:
-            count, rays = trace_virtual_lights(self.scene, self.rays, self.seed, pass_index, self.paths, self.lights)
+            count, rays = trace_virtual_lights(
+                self.scene, self.rays, self.guides.virtual_lights, self.seed, pass_index, self.paths, self.lights
+            )
             if count <= len(self.lights.offset):
                 self.light_count = count
                 return rays
             self.lights = empty_virtual_lights(2 * count)
+
+    def trace_light(self, pass_index: int, first: int, last: int, film: np.ndarray) -> int:
+        return 0
 
 
 @dataclass(kw_only=True)
@@ -95,6 +123,7 @@ class WeakSingularities(VirtualLighting):
     """`iws` (L_d alone) and `iws+cf`."""
 
     maps: ForecastMaps
+    window: tuple[int, int, int, int]
     caustics: bool
     sampling: str
 
@@ -102,6 +131,8 @@ class WeakSingularities(VirtualLighting):
         super().__post_init__()
         # Without a cluster there is nothing to mix: the first kernel samples by the BRDF alone then.
         self.mixture = self.sampling == "mixture" and self.caustics and self.maps.codebook.shape[1] > 0
+        if not self.mixture:
+            self.light_paths = 0
         tables = self.sampling if self.sampling != "mixture" else "two"
         self.work = pass_work(mixture_work(self.maps) if self.mixture else forecast_work(self.maps, tables))
 
@@ -109,11 +140,27 @@ class WeakSingularities(VirtualLighting):
         eye = (self.scene, self.camera, self.work, pixels, self.seed, self.pass_index)
         light = (self.lights, self.light_count, self.maps, self.few, self.bound)
         if self.mixture:
-            rays, lost = trace_iws_mixture(*eye, *light, film)
+            rays, lost = trace_iws_mixture(*eye, *light, self.peak, self.light_paths > 0, film)
         else:
             rays, lost = trace_iws_cf(*eye, *light, self.peak, self.caustics, film)
         if lost:
             raise RuntimeError(f"{lost} path vertices did not fit the stack: the picture would be biased")
+        return rays
+
+    def trace_light(self, pass_index: int, first: int, last: int, film: np.ndarray) -> int:
+        rays: int = trace_light_paths(
+            self.scene,
+            self.camera,
+            self.rays,
+            self.guides.light_tracing,
+            np.array(self.window, np.int64),
+            self.seed,
+            pass_index,
+            first,
+            last,
+            np.float32(1 / self.light_paths),
+            film,
+        )
         return rays
 
 
@@ -135,26 +182,51 @@ class PhotonMapping(VirtualLighting):
 
 
 def make_method(
-    config: RenderConfig, scene: TracedScene, camera: np.ndarray, maps: ForecastMaps | PhotonMap, extent: float
+    config: RenderConfig,
+    scene: TracedScene,
+    camera: np.ndarray,
+    maps: ForecastMaps | PhotonMap,
+    extent: float,
+    guides: Guides | None = None,
 ) -> Method:
     """The configured method. maps: a photon map for `iws+pm`; extent: diagonal of the scene [scene units], for the
-    automatic bound."""
+    automatic bound; guides: natural emission, and no light tracing, if there are none."""
     if config.method == "pt":
         return PathTracing(trace_paths, scene, camera, config.seed)
     if config.method == "pt-brute":
         return PathTracing(trace_paths_brute, scene, camera, config.seed)
-    bound = automatic_bound(extent) if config.iws.bound == "auto" else float(config.iws.bound)
+    guides = guides or no_guides()
     common: dict[str, Any] = {
         "scene": scene,
         "camera": camera,
         "seed": config.seed,
+        "guides": guides,
         "paths": config.iws.paths,
         "few": config.iws.deep_lights,
-        "bound": bound,
+        "bound": bound_of(config, extent),
     }
     if isinstance(maps, PhotonMap):
         return PhotonMapping(**common, photons=maps)
-    return WeakSingularities(**common, maps=maps, caustics=config.method == "iws+cf", sampling=config.forecast.sampling)
+    film = config.film
+    return WeakSingularities(
+        **common,
+        maps=maps,
+        window=film.crop or (0, 0, film.width, film.height),
+        # Of the whole film, whatever the crop: a crop has the same samples.
+        light_paths=int(guides.paths_per_pixel * film.width * film.height) if traces_light(config) else 0,
+        caustics=config.method == "iws+cf",
+        sampling=config.forecast.sampling,
+    )
+
+
+def traces_light(config: RenderConfig) -> bool:
+    """Whether the method leaves the caustics that the eye sees directly to light tracing, if there are any."""
+    return config.method == "iws+cf" and config.forecast.sampling == "mixture" and config.forecast.light_tracing
+
+
+def bound_of(config: RenderConfig, extent: float) -> float:
+    """The bound b [units^-2] of the config, or the automatic one."""
+    return automatic_bound(extent) if config.iws.bound == "auto" else float(config.iws.bound)
 
 
 BOUND_FACTOR = 100.0

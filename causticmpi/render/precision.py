@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from causticmpi.kernels.jit import kernel
+from causticmpi.kernels.jit import inline, kernel
+from causticmpi.render.film import CHANNELS
 
 STEP = 2.0**0.25
 """Ratio of passes from one group's end to the next."""
@@ -21,11 +22,18 @@ FEWEST_GROUPS = 4
 CONFIDENCE = 0.95
 
 
+@inline
+def _variance(sums, before, i, high, mean, own):
+    """Of a pass of the group; high: column of the high parts of the squares, three before that of the low ones."""
+    square = (sums[i, high] - before[i, high] + (sums[i, high + 3] - before[i, high + 3])) / own
+    return max(0.0, square - mean * mean) * own / (own - 1)
+
+
 @kernel
 def _group_variance(sums, before, passes, floor):
     """Sum over pixels and channels of the variance of a pass, over R^2 + floor; `before` becomes a copy of `sums`.
 
-    sums, before (slots, 12): see render.film, at the end of the group and of the one before it; passes: those before
+    sums, before (slots, channels): see render.film, at the end of the group and of the one before it; passes: those before
     the group, of which R is the mean, and those of the group.
     """
     total = 0.0
@@ -34,8 +42,12 @@ def _group_variance(sums, before, passes, floor):
         for c in range(3):
             level = (before[i, c] + before[i, 3 + c]) / earlier
             mean = (sums[i, c] + sums[i, 3 + c] - before[i, c] - before[i, 3 + c]) / own
-            square = (sums[i, 6 + c] - before[i, 6 + c] + (sums[i, 9 + c] - before[i, 9 + c])) / own
-            total += max(0.0, square - mean * mean) * own / (own - 1) / (level * level + floor)
+            variance = _variance(sums, before, i, 6 + c, mean, own)
+            if sums.shape[1] > CHANNELS:
+                level += before[i, CHANNELS + c] / earlier
+                mean = (sums[i, CHANNELS + c] - before[i, CHANNELS + c]) / own
+                variance += _variance(sums, before, i, CHANNELS + 3 + c, mean, own)
+            total += variance / (level * level + floor)
         for c in range(sums.shape[1]):
             before[i, c] = sums[i, c]
     return total

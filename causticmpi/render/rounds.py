@@ -21,11 +21,12 @@ BATCH_SECONDS = 0.25
 
 @dataclass(frozen=True)
 class Share:
-    """Rows first … last-1 of the pixel order in one pass."""
+    """Rows first … last-1 of the pixel order in one pass; light: and all its light paths."""
 
     pass_index: int
     first: int
     last: int
+    light: bool = False
 
 
 FINENESS = 8
@@ -34,12 +35,13 @@ LEAST = 64
 """... but no less than so many tiles, where that leaves work for every rank."""
 
 
-def divide(first_pass: int, passes: int, tiles: int, size: int) -> list[Share]:
+def divide(first_pass: int, passes: int, tiles: int, size: int, light: bool = False) -> list[Share]:
     """The shares of a round in the order to hand them out to `size` ranks that come free at times of their own.
 
     Whole passes as long as plenty of them are left, then ever smaller parts (guided self-scheduling), so that at the
     end no rank waits long for another: parts of a pass cost each rank that takes one the beginning of that pass.
-    tiles: number of 16-pixel tiles of a pass. The shares cover each tile of each pass once.
+    tiles: number of 16-pixel tiles of a pass; light: passes have light paths. The shares cover each tile and the light
+    paths of each pass once; these stay together, for the squares of a pass need all of them.
     """
     shares = []
     for index in range(passes):
@@ -48,7 +50,10 @@ def divide(first_pass: int, passes: int, tiles: int, size: int) -> list[Share]:
         if size > 1:
             parts = min(tiles, max(-(-size // left), min(-(-FINENESS * size // left), tiles // LEAST)))
         cuts = [16 * (tiles * part // parts) for part in range(parts + 1)]
-        shares += [Share(first_pass + index, *cut) for cut in zip(cuts, cuts[1:], strict=False)]
+        if light and parts > 1:
+            shares.append(Share(first_pass + index, 0, 0, light=True))
+        alone = light and parts == 1
+        shares += [Share(first_pass + index, *cut, light=alone) for cut in zip(cuts, cuts[1:], strict=False)]
     return shares
 
 
@@ -61,9 +66,16 @@ def equal_round(seconds_per_pass: float, aim: float, size: int) -> int:
     return passes - passes % size if passes > size else passes
 
 
+def _stretch(seconds: float) -> float:
+    """Factor for the size of the next batch, after one of so many seconds."""
+    return min(4.0, max(0.25, BATCH_SECONDS / max(seconds, 1e-6)))
+
+
 PILOT_PASS = 2**62
 """A pass index that no picture uses."""
 PILOT_TILES = 256
+PILOT_LIGHT = 32
+"""The pilot takes this part of the light paths."""
 
 
 class Batches:
@@ -75,7 +87,8 @@ class Batches:
         self.pass_film = np.zeros((slots, 6), np.float32)
         by_tile = pixels[:, 3].reshape(-1, 16)
         self.low, self.high = np.where(by_tile < 0, slots, by_tile).min(axis=1), by_tile.max(axis=1)
-        self.rows = 16 * 64
+        self.light_film = np.zeros((slots if method.light_paths else 0, 3), np.float32)
+        self.rows, self.paths = 16 * 64, 4096
         self.kernel_seconds = 0.0
         """CPU seconds spent in the method itself, the pilot left out."""
         self.began: float | None = None
@@ -90,7 +103,14 @@ class Batches:
         beginning = time.perf_counter() - began
         self.method.trace(np.ascontiguousarray(some.reshape(-1, self.pixels.shape[1])), self.pass_film)
         self.pass_film[:] = 0
-        return beginning + (time.perf_counter() - began - beginning) * len(tiles) / len(some)
+        seconds = beginning + (time.perf_counter() - began - beginning) * len(tiles) / len(some)
+        paths = self.method.light_paths // PILOT_LIGHT
+        if paths > 0:
+            began = time.perf_counter()
+            self.method.trace_light(PILOT_PASS, 0, paths, self.light_film)
+            self.light_film[:] = 0
+            seconds += (time.perf_counter() - began) * self.method.light_paths / paths
+        return seconds
 
     def trace(self, shares: Iterable[Share], pending: Film, stop: Callable[[], bool]) -> bool:
         """Trace all shares into `pending`; False, with `pending` to be dropped, if `stop()` came true in between."""
@@ -98,6 +118,10 @@ class Batches:
         if self.began is None:
             self.began = time.process_time()
         for share in shares:
+            if share.light and not self._trace_light(share.pass_index, pending, stop):
+                return False
+            if share.last == share.first:
+                continue
             if share.pass_index != begun:
                 begun = share.pass_index
                 pending.rays += self._timed(self.method.begin_pass, begun)
@@ -106,14 +130,29 @@ class Batches:
                 end = min(share.last, row + self.rows)
                 began = time.perf_counter()
                 pending.rays += self._timed(self.method.trace, self.pixels[row:end], self.pass_film)
-                seconds = max(time.perf_counter() - began, 1e-6)
+                wanted = self.rows * _stretch(time.perf_counter() - began)
                 row = end
                 if stop():
                     self.pass_film[:] = 0
                     return False
-                wanted = self.rows * min(4.0, max(0.25, BATCH_SECONDS / seconds))
                 self.rows = min(len(self.pixels), max(16, int(wanted) // 16 * 16))
             pending.add_pass(self.pass_film, self._slots_of(share))
+        return True
+
+    def _trace_light(self, pass_index: int, pending: Film, stop: Callable[[], bool]) -> bool:
+        """The light paths of a pass; False if `stop()` came true in between."""
+        path = 0
+        while path < self.method.light_paths:
+            end = min(self.method.light_paths, path + self.paths)
+            began = time.perf_counter()
+            pending.rays += self._timed(self.method.trace_light, pass_index, path, end, self.light_film)
+            wanted = self.paths * _stretch(time.perf_counter() - began)
+            self.paths = min(self.method.light_paths, max(1024, int(wanted)))
+            path = end
+            if stop():
+                self.light_film[:] = 0
+                return False
+        pending.add_light(self.light_film)
         return True
 
     def _slots_of(self, share: Share) -> slice:

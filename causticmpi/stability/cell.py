@@ -13,7 +13,7 @@ import numpy as np
 from causticmpi.compare.statistics import block_means
 from causticmpi.config.records import RenderConfig
 from causticmpi.distributed.clock import Stopwatch
-from causticmpi.distributed.prepare import PreparedScene, prepare_forecast, share_maps, share_scene
+from causticmpi.distributed.prepare import PreparedScene, prepare_method, share_maps, share_scene
 from causticmpi.distributed.usage import peak_memory_mb
 from causticmpi.distributed.warmup import warm_up
 from causticmpi.distributed.world import SerialWorld
@@ -22,7 +22,7 @@ from causticmpi.kernels.pixels import pixel_order
 from causticmpi.preprocess.forecast import ForecastMaps, build_forecast
 from causticmpi.preprocess.photons import shoot_photons
 from causticmpi.render.foresight import of_scene
-from causticmpi.render.methods import BIASED, FORECASTING, Method, automatic_bound, make_method
+from causticmpi.render.methods import BIASED, FORECASTING, Method, automatic_bound, make_method, whole_pass
 from causticmpi.render.rounds import PILOT_PASS
 from causticmpi.scene.data import SceneData
 from causticmpi.scene.load import load_scene
@@ -86,7 +86,7 @@ class Bench:
 
     def add_pass(self, index: int, film: np.ndarray) -> int:
         """One pass added to `film` (slots, 6); returns the rays traced."""
-        return self.method.begin_pass(index) + self.method.trace(self.pixels, film)
+        return whole_pass(self.method, index, self.pixels, film)
 
     def close(self) -> None:
         """Free Embree's tree."""
@@ -112,13 +112,15 @@ def set_up(scene_file: Path, config: RenderConfig, lie: str = "none") -> Bench:
     data = load_scene(scene_file)
     scene = share_scene(world, data)
     began = time.process_time()
+    film = config.film
+    camera = camera_array(data.camera, film.width, film.height)
     if lie == "none":
-        maps = prepare_forecast(world, config, scene, Stopwatch(from_now=True)).maps
+        method, made = prepare_method(world, config, scene, camera, Stopwatch(from_now=True))
+        maps = made.maps
     else:
         maps = share_maps(world, _lying_maps(config, data, lie))
+        method = make_method(config, scene.traced, camera, maps, scene.extent)
     preprocess = time.process_time() - began
-    film = config.film
-    method = make_method(config, scene.traced, camera_array(data.camera, film.width, film.height), maps, scene.extent)
     pixels = pixel_order((0, 0, film.width, film.height), film.width)
     return Bench(scene, config, method, maps, preprocess, pixels)
 

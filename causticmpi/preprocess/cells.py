@@ -1,0 +1,148 @@
+"""Cells: grids over the caustic points whose occupied cells remember a few directions each, found in O(1).
+
+The middle level of the forecast: finer than a cluster's aggregated directions, cheaper than a gather of neighbours. It
+serves the vertices too many or too deep to gather at.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from causticmpi.kernels import rng
+from causticmpi.kernels.jit import inline, kernel
+from causticmpi.kernels.vec import ZERO
+from causticmpi.preprocess.directions import NARROWEST, WIDEST
+
+KEPT = 16
+"""Directions of a cell, drawn from its photons in proportion to power: equal weights, one vector register."""
+FEWEST = 4
+"""Photons below which a cell says nothing."""
+COMPANIONS = 5
+"""A cone is as wide as it takes to hold this many other directions of the cell."""
+PHOTONS_PER_CELL = 48
+LEVELS, COARSER = 3, 3
+"""Grids, and the ratio of their cells' edges from one to the next: where photons are thin a larger cell speaks."""
+EMPTY = np.uint64(0)
+
+
+@inline
+def cell_key(size, level, p, n):
+    """Key of the cell of a level that p with normal n lies in, never EMPTY: place in the grid and the axis n is closest
+    to. size: edge of its cells."""
+    ax, ay, az = abs(n[0]), abs(n[1]), abs(n[2])
+    axis, sign = 2, n[2]
+    if ax >= ay and ax >= az:
+        axis, sign = 0, n[0]
+    elif ay >= az:
+        axis, sign = 1, n[1]
+    face = 6 * level + 2 * axis + (1 if sign < ZERO else 0)
+    x, y, z = np.int64(math.floor(p[0] / size)), np.int64(math.floor(p[1] / size)), np.int64(math.floor(p[2] / size))
+    key = rng.mix(np.uint64(x) * np.uint64(73856093) + np.uint64(face))
+    key = rng.mix(key ^ np.uint64(y))
+    return rng.mix(key ^ np.uint64(z)) | np.uint64(1)
+
+
+@inline
+def cell_of(maps, p, n):
+    """Row of the smallest cell with enough photons that p with normal n lies in; -1 where there is none."""
+    mask = np.uint64(maps.cell_key.shape[0] - 1)
+    size = np.float32(maps.cell_size)
+    for level in range(LEVELS):
+        key = cell_key(size, level, p, n)
+        place = key & mask
+        while maps.cell_key[place] != EMPTY:
+            if maps.cell_key[place] == key:
+                return np.int64(maps.cell_row[place])
+            place = (place + np.uint64(1)) & mask
+        size *= np.float32(COARSER)
+    return np.int64(-1)
+
+
+@kernel
+def _keys(size, level, position, normal, keys):
+    for i in range(keys.shape[0]):
+        p = (position[i, 0], position[i, 1], position[i, 2])
+        keys[i] = cell_key(np.float32(size), level, p, (normal[i, 0], normal[i, 1], normal[i, 2]))
+
+
+@kernel
+def _fill(found, table, row):
+    """Open addressing: cell i under found[i]."""
+    mask = np.uint64(table.shape[0] - 1)
+    for i in range(found.shape[0]):
+        place = found[i] & mask
+        while table[place] != EMPTY:
+            place = (place + np.uint64(1)) & mask
+        table[place], row[place] = found[i], i
+
+
+def cell_edge(radius: float, neighbours: int) -> float:
+    """Edge of a cell [scene units] that holds PHOTONS_PER_CELL where the search radius holds the neighbours."""
+    return radius * math.sqrt(math.pi * PHOTONS_PER_CELL / neighbours)
+
+
+def build_cells(
+    position: np.ndarray, normal: np.ndarray, direction: np.ndarray, power: np.ndarray, size: float
+) -> dict[str, Any]:
+    """The `cell_*` fields of `ForecastMaps` from caustic points: position, normal, direction (n, 3), power (n,).
+
+    size: edge of the smallest cells [scene units].
+    """
+    levels = [_level(position, normal, direction, power, size * COARSER**i, i) for i in range(LEVELS)]
+    keys, directions, cones = (np.concatenate(parts) for parts in zip(*levels, strict=True))
+    table = np.zeros(1 << max(1, int(2 * len(keys))).bit_length(), np.uint64)
+    row = np.zeros(len(table), np.int32)
+    _fill(keys, table, row)
+    return {
+        "cell_size": float(size),
+        "cell_key": table,
+        "cell_row": row,
+        "cell_direction": np.ascontiguousarray(directions.transpose(0, 2, 1)),
+        "cell_cone": cones,
+    }
+
+
+def _level(
+    position: np.ndarray, normal: np.ndarray, direction: np.ndarray, power: np.ndarray, size: float, level: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Keys (cells,), directions (cells, KEPT, 3) and cones (cells,) of the cells of a level with enough photons."""
+    keys = np.empty(len(power), np.uint64)
+    _keys(size, level, position, normal, keys)
+    order = np.argsort(keys, kind="stable")
+    found, first, counts = np.unique(keys[order], return_index=True, return_counts=True)
+    running = np.concatenate([[0.0], np.cumsum(power[order].astype(np.float64))])
+    low, high = running[first], running[first + counts]
+    telling = (counts >= FEWEST) & (high > low)
+    found, first, counts, low, high = (a[telling] for a in (found, first, counts, low, high))
+    # Systematic resampling: every KEPT-th part of a cell's power names a photon.
+    marks = low[:, None] + (high - low)[:, None] * ((np.arange(KEPT) + 0.5) / KEPT)
+    chosen = np.searchsorted(running, marks, side="right") - 1
+    chosen = np.clip(chosen, first[:, None], (first + counts - 1)[:, None])
+    directions = direction[order[chosen]].astype(np.float32)
+    return found, directions, _cones(directions, counts)
+
+
+def _cones(directions: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """Cosine of the half angle of each cell's cones (m,) float32."""
+    cones = np.empty(len(directions), np.float32)
+    repeats = -(-KEPT // np.minimum(counts, KEPT))
+    companion = np.minimum(KEPT - 1, repeats * (1 + COMPANIONS) - 1)
+    for start in range(0, len(directions), 4096):
+        some = directions[start : start + 4096].astype(np.float64)
+        cosines = -np.sort(-np.einsum("ijc,ikc->ijk", some, some), axis=2)
+        picked = np.take_along_axis(cosines, companion[start : start + 4096, None, None], axis=2)[:, :, 0]
+        angle = np.median(np.arccos(np.clip(picked, -1, 1)), axis=1)
+        cones[start : start + 4096] = np.cos(np.clip(angle, NARROWEST, WIDEST))
+    return cones
+
+
+def no_cells() -> dict[str, Any]:
+    """A grid without an occupied cell."""
+    return {
+        "cell_size": 1.0,
+        "cell_key": np.zeros(2, np.uint64),
+        "cell_row": np.zeros(2, np.int32),
+        "cell_direction": np.zeros((0, 3, KEPT), np.float32),
+        "cell_cone": np.zeros(0, np.float32),
+    }

@@ -1,0 +1,280 @@
+"""Light tracing, guided emission and the cells of the forecast: each against a plain oracle, and errors are found."""
+
+from pathlib import Path
+
+import msgspec
+import naive
+import numba
+import numpy as np
+import pytest
+from chi_square import SAMPLES, SphereCells, p_value, pair_p_value, sidak
+from rendering import make_config, prepare, render_passes, scene_from
+from z_test import ALPHA, compare
+
+from causticmpi.distributed.clock import Stopwatch
+from causticmpi.distributed.prepare import prepare_method
+from causticmpi.distributed.world import SerialWorld
+from causticmpi.estimators import caustic_mixture as cm
+from causticmpi.kernels import camera as camera_room
+from causticmpi.kernels import emission, vec
+from causticmpi.kernels.emission import emission_guide, natural_emission
+from causticmpi.preprocess import cells
+from causticmpi.preprocess.cells import COARSER, KEPT, LEVELS, build_cells, cell_edge
+from causticmpi.preprocess.forecast import no_forecast
+from causticmpi.scene.data import SceneData
+from causticmpi.scene.tracing import camera_array
+
+LIGHTS = """\
+camera: {eye: [0, 0, 4], target: [0, 0, 0]}
+materials:
+  black: {type: diffuse, reflectance: 0}
+shapes:
+  - {type: quad, corners: [[0, 0, 0], [3, 0, 0], [3, 2, 0], [0, 1, 0]], material: black, emission: [1, 2, 3]}
+  - {type: sphere, center: [5, -1, 2], radius: 0.3, material: black, emission: 4}
+"""
+# A small light over a mirror sphere on a floor: a bright caustic in plain sight.
+OPEN = """\
+camera: {eye: [0, 2.5, 2.5], target: [0, 0, 0], fov: 50}
+materials:
+  white: {type: diffuse, reflectance: 0.7}
+  gloss: {type: phong, diffuse: 0.3, specular: 0.4, exponent: 30}
+  black: {type: diffuse, reflectance: 0}
+  mirror: {type: mirror, reflectance: 0.9}
+shapes:
+  - {type: quad, corners: [[-2, 0, 2], [0, 0, 2], [0, 0, -2], [-2, 0, -2]], material: white}
+  - {type: quad, corners: [[0, 0, 2], [2, 0, 2], [2, 0, -2], [0, 0, -2]], material: gloss}
+  - {type: sphere, center: [0, 0.5, 0], radius: 0.4, material: mirror}
+  - type: quad
+    corners: [[-1, 2, 0.2], [-1, 2, -0.2], [-0.6, 2, -0.2], [-0.6, 2, 0.2]]
+    material: black
+    emission: 300
+"""
+COMPARISONS = 3 + 2
+PASSES = 6000
+
+
+@numba.njit
+def run_emit(scene, guide, u, point, direction, power, flux):
+    for i in range(len(u)):
+        p, _, _, e, d, f = emission.emit(scene, guide, u[i, 0], u[i, 1], u[i, 2], u[i, 3], u[i, 4])
+        point[i, 0], point[i, 1], point[i, 2] = p
+        direction[i, 0], direction[i, 1], direction[i, 2] = d
+        power[i], flux[i] = vec.luminance(e), vec.luminance(f)
+
+
+@numba.njit
+def run_reshape(guide, group, u, out, share):
+    for i in range(len(u)):
+        out[i, 0], out[i, 1], share[i] = emission.reshape(guide, group, u[i, 0], u[i, 1])
+
+
+@numba.njit
+def run_film_position(camera, x, y, d, out):
+    for i in range(len(x)):
+        _, direction = camera_room.primary_ray(camera, x[i], y[i])
+        a, b, depth = camera_room.film_position(camera, vec.scale(direction, d[i]))
+        out[i, 0], out[i, 1], out[i, 2] = a, b, depth
+
+
+@numba.njit
+def run_cells(maps, p, n, out):
+    for i in range(len(p)):
+        out[i] = cells.cell_of(maps, vec.row(p, i), vec.row(n, i))
+
+
+@numba.njit
+def run_sample_cell(maps, cell, u, out):
+    for i in range(len(u)):
+        out[i, 0], out[i, 1], out[i, 2] = cm.sample_cell(maps, cell, u[i, 0], u[i, 1], u[i, 2])
+
+
+@numba.njit
+def run_cell_pdf(maps, cell, direction, out):
+    for i in range(len(direction)):
+        out[i] = cm.cell_pdf(maps, cell, vec.row(direction, i))
+
+
+def uniform(count: int, columns: int, seed: int = 3) -> np.ndarray:
+    return np.random.default_rng(seed).random((count, columns), np.float32)
+
+
+def density(groups: int, side: int) -> np.ndarray:
+    return np.random.default_rng(side).exponential(size=(groups, side, side)) + 0.05
+
+
+@pytest.mark.parametrize("side", [1, 3, 16])
+def test_a_guide_draws_what_it_says(side: int) -> None:
+    """Counts by cell against the density; and 1 / share is that density at every point drawn."""
+    wanted = density(2, side)
+    guide, out, share = emission_guide(wanted), np.zeros((SAMPLES, 2), np.float32), np.zeros(SAMPLES, np.float32)
+    run_reshape(guide, 1, uniform(SAMPLES, 2), out, share)
+    assert out.min() >= 0 and out.max() < 1
+    i, j = np.minimum((out.astype(np.float64) * side).astype(int), side - 1).T
+    probability = wanted[1] / wanted[1].sum()
+    if side > 1:
+        assert p_value(np.bincount(i * side + j, minlength=side**2), SAMPLES * probability) > sidak(COMPARISONS)
+    assert pair_p_value(*((out.astype(np.float64) * side) % 1).T) > sidak(COMPARISONS)
+    # A point within rounding of a border belongs to either cell.
+    close = np.isclose(1 / share, probability[i, j] * side**2, rtol=1e-3)
+    assert close.mean() > 1 - 1e-4
+
+
+def test_guided_emission_keeps_every_sum(tmp_path: Path) -> None:
+    """Power of virtual lights and flux of particles, by direction and place, are those of natural emission."""
+    scene = prepare(scene_from(LIGHTS, tmp_path)).traced
+    groups = len(scene.light_cdf)
+
+    def sums(guide: emission.EmissionGuide, seed: int) -> np.ndarray:
+        point, direction = np.zeros((SAMPLES, 3), np.float32), np.zeros((SAMPLES, 3), np.float32)
+        power, flux = np.zeros(SAMPLES, np.float32), np.zeros(SAMPLES, np.float32)
+        run_emit(scene, guide, uniform(SAMPLES, 5, seed), point, direction, power, flux)
+        assert np.allclose(np.linalg.norm(direction, axis=1), 1, atol=1e-5)
+        ball = point[:, 2] > 0.5
+        parts = [
+            f * mask for f in (power, flux) for mask in (ball, ~ball, ball & (point[:, 0] > 5.1), point[:, 1] > 0.7)
+        ]
+        parts += [flux * (direction[:, 0] > 0.6), flux * ball * (direction[:, 1] > 0.5) * (point[:, 2] > 2.1)]
+        return np.stack(parts, axis=1).astype(np.float64).reshape(1024, -1, len(parts)).mean(axis=1)
+
+    natural, guided = sums(natural_emission(), 1), sums(emission_guide(density(groups, 8)), 2)
+    verdict = compare(natural, guided)
+    assert verdict.p > ALPHA, verdict
+    unweighted = guided * np.linspace(1, 1.1, guided.shape[1])
+    assert compare(natural, unweighted).p < 1e-6, "the test must see errors of some percent"
+
+
+def test_film_position_is_the_inverse_of_primary_rays(tmp_path: Path) -> None:
+    scene = scene_from(OPEN, tmp_path)
+    camera = camera_array(scene.camera, 64, 48)
+    u = uniform(1000, 3)
+    out = np.zeros((1000, 3), np.float32)
+    x, y, d = u[:, 0] * 64, u[:, 1] * 48, 0.1 + 5 * u[:, 2]
+    run_film_position(camera, x, y, d, out)
+    np.testing.assert_allclose(out[:, :2], np.stack([x, y], axis=1), atol=2e-3)
+    forward = naive.unit(np.subtract(scene.camera.target, scene.camera.eye))
+    assert (out[:, 2] > 0).all() and (out[:, 2] <= d * (1 + 1e-5)).all()
+    middle = np.zeros((1, 3), np.float32)
+    run_film_position(camera, np.float32([32]), np.float32([24]), np.float32([2]), middle)
+    np.testing.assert_allclose(middle[0], [32, 24, 2 * np.linalg.norm(forward)], rtol=1e-4)
+
+
+def config(**forecast: object) -> object:
+    return make_config(
+        method="iws+cf",
+        film={"width": 16, "height": 16},
+        iws={"paths": 16},
+        forecast={"photons": 5000, "clusters": 16, "neighbours": 20, **forecast},
+    )
+
+
+@pytest.fixture(scope="module")
+def open_scene(tmp_path_factory: pytest.TempPathFactory) -> SceneData:
+    return scene_from(OPEN, tmp_path_factory.mktemp("open"))
+
+
+@pytest.mark.statistical
+def test_drawn_caustics_are_those_the_eye_finds(open_scene: SceneData) -> None:
+    """L_c with light paths against L_c by the forecast alone, diffuse and glossy floor: blocks of 4 x 4 pixels."""
+
+    def blocks(light_tracing: bool, seed: int) -> np.ndarray:
+        made = msgspec.structs.replace(config(light_tracing=light_tracing), seed=seed)
+        films = render_passes(open_scene, made, PASSES)[..., 3:].astype(np.float64)
+        return films.reshape(PASSES, 4, 4, 4, 4, 3).mean(axis=(2, 4)).reshape(PASSES, -1)
+
+    drawn, found = blocks(True, 1), blocks(False, 2)
+    verdict = compare(drawn, found)
+    assert found.mean() > 0.01 and verdict.p > ALPHA, verdict
+    assert compare(drawn * 1.1, found).p < 1e-6, "the test must see ten percent"
+
+
+def test_gloss_is_left_to_the_forecast(open_scene: SceneData) -> None:
+    prepared = prepare(open_scene)
+    camera = camera_array(open_scene.camera, 16, 16)
+    method, made = prepare_method(SerialWorld(), config(), prepared, camera, Stopwatch())
+    assert method.light_paths == int(made.guides.paths_per_pixel * 256) > 0
+    light = np.zeros((256, 3), np.float32)
+    rays = method.trace_light(0, 0, method.light_paths, light)
+    assert rays > method.light_paths
+    right = light.reshape(16, 16, 3)[:, 9:]
+    assert light.sum() > 0 and right.sum() < 0.02 * light.sum()  # the right half of the floor is glossy
+    prepared.embree.close()
+
+
+def test_what_the_eye_does_not_see_costs_nothing(open_scene: SceneData) -> None:
+    away = msgspec.structs.replace(open_scene.camera, target=(0.0, 5.0, 2.6))
+    prepared = prepare(open_scene)
+    method, _ = prepare_method(SerialWorld(), config(), prepared, camera_array(away, 16, 16), Stopwatch())
+    assert method.light_paths == 0
+    prepared.embree.close()
+
+
+def points(count: int = 4000) -> tuple[np.ndarray, ...]:
+    """Caustic points on a floor and a wall, their directions in a lobe that turns with the place."""
+    generator = np.random.default_rng(5)
+    position = generator.random((count, 3)).astype(np.float32) * [2, 0, 2] - np.float32([1, 0, 1])
+    normal = np.tile(np.float32([0, 1, 0]), (count, 1))
+    wall = np.arange(count) % 4 == 0
+    position[wall] = position[wall][:, [1, 0, 2]]
+    normal[wall] = 1, 0, 0
+    direction = naive.unit(normal + 0.3 * position + 0.2 * generator.normal(size=(count, 3)))
+    return (*(a.astype(np.float32) for a in (position, normal, direction)), generator.exponential(size=count))
+
+
+def test_cells_hold_the_photons_around(tmp_path: Path) -> None:
+    """Against a plain grid: the smallest level with enough photons answers, with directions of its own photons."""
+    position, normal, direction, power = points()
+    edge = cell_edge(0.1, 20)
+    maps = no_forecast()._replace(**build_cells(position, normal, direction, power, edge))
+    found = np.zeros(len(position), np.int64)
+    run_cells(maps, position, normal, found)
+    assert (found >= 0).mean() > 0.9
+    sides = [np.float32(edge) * COARSER**level for level in range(LEVELS)]
+    keys = [np.concatenate([np.floor(position / side), normal], axis=1) for side in sides]
+    for i in range(0, len(position), 97):
+        for key in keys:
+            members = np.flatnonzero((key == key[i]).all(axis=1))
+            if len(members) >= cells.FEWEST:
+                break
+        kept = maps.cell_direction[found[i]].T
+        distances = np.linalg.norm(kept[:, None] - direction[members][None], axis=2)
+        assert distances.shape[0] == KEPT and distances.min(axis=1).max() < 1e-6
+    nowhere = np.zeros(1, np.int64)
+    run_cells(maps, np.float32([[50, 50, 50]]), np.float32([[0, 1, 0]]), nowhere)
+    assert nowhere[0] == -1
+
+
+@pytest.mark.parametrize("degrees", [1.0, 20.0])
+def test_directions_of_a_cell(degrees: float) -> None:
+    position, normal, direction, power = points()
+    maps = no_forecast()._replace(**build_cells(position, normal, direction, power, 0.5))
+    maps.cell_cone[:] = np.cos(np.radians(degrees))
+    out = np.zeros((SAMPLES, 3), np.float32)
+    run_sample_cell(maps, 1, uniform(SAMPLES, 3), out)
+    axis = maps.cell_direction[1].mean(axis=1)
+    grid = SphereCells(axis, np.cos(np.radians(np.linspace(180, 0, 91))), columns=32)
+    quadrature, _ = grid.quadrature(8)
+    found = np.zeros(len(quadrature), np.float32)
+    run_cell_pdf(maps, 1, quadrature.astype(np.float32), found)
+    expected = grid.integrate(found, 8)
+    assert abs(expected.sum() - 1) < 0.02
+    at = np.zeros(SAMPLES, np.float32)
+    run_cell_pdf(maps, 1, out, at)
+    assert (at > 0).mean() > 1 - 2e-5  # rounding at the rim of a cone
+    # Edges of cones cut the cells of the grid: compare where the quadrature is exact to a percent.
+    assert abs((1 / at[at > 0].astype(np.float64)).mean() - area_of_cones(maps, 1)) < 0.02 * area_of_cones(maps, 1)
+    counts = grid.counts(out) / SAMPLES
+    assert np.abs(counts - expected).sum() < 0.1
+
+
+def area_of_cones(maps: object, cell: int) -> float:
+    """Solid angle of the union of a cell's cones, by a fine grid of directions."""
+    z = np.linspace(-1, 1, 2001)[:-1] + 0.0005
+    phi = np.linspace(0, 2 * np.pi, 2001)[:-1]
+    r = np.sqrt(1 - z * z)
+    directions = np.stack(
+        [r[:, None] * np.cos(phi), r[:, None] * np.sin(phi), np.broadcast_to(z[:, None], (2000, 2000))], axis=-1
+    )
+    inside = np.zeros((2000, 2000), bool)
+    for axis in maps.cell_direction[cell].T:
+        inside |= directions @ axis.astype(np.float64) >= float(maps.cell_cone[cell])
+    return float(inside.mean() * 4 * np.pi)
