@@ -2,8 +2,8 @@
 
 At every non-specular vertex one set of rays serves the compensation and the caustics alike: each ray has the density of
 the whole mixture (caustic_mixture), a hit on D is compensation, a hit on S a caustic. The first vertex has S fine rays
-or, where photons are thin, one from its cell, one coarse and one BRDF ray; deeper vertices have one ray, from their
-cell, coarse or BRDF by chance, so paths do not branch there. Where light tracing draws the caustics of the first
+or, where photons are thin, one from its cell, one coarse and one BRDF ray; deeper vertices have one coarse or
+BRDF ray by chance and DEEP_RAYS from their cell. Where light tracing draws the caustics of the first
 vertex, only the compensation is left of all this.
 Photons are gathered once for the vertices of a tile that lie close together: a forecast is only a pdf.
 """
@@ -25,7 +25,9 @@ from causticmpi.kernels.vec import BLACK, HALF, INFINITY, TWO, ZERO
 from causticmpi.preprocess.cells import cell_of
 from causticmpi.preprocess.forecast import cluster_of
 
-ALMOST_ONE, THIRD = np.float32(0.99999994), np.float32(1 / 3)
+ALMOST_ONE = np.float32(0.99999994)
+DEEP_RAYS = 2
+"""Rays of a deeper vertex by the directions of its cell."""
 
 
 @inline
@@ -79,59 +81,54 @@ def _compensate(scene, work, bound, reach, lane):
 
 
 @inline
-def _choose(steered, choice):
-    """Which of the O(1) samplers draws the ray of a deeper vertex, and the rest of `choice`."""
-    count = np.float32(3) if steered else TWO
-    sampler = np.int64(choice * count)
-    return sampler, min(ALMOST_ONE, choice * count - np.float32(sampler))
-
-
-@inline
 def _expand_deep(scene, work, lights, count, maps, few, bound, top):
-    """Take a deeper vertex from the stack, estimate its radiance by a few virtual lights and one ray, push the vertex
-    that carries light to it.
+    """Take a deeper vertex from the stack, estimate its radiance by a few virtual lights and a ray or two, push the
+    vertices that carry light to it.
 
-    Returns the new top, the layer of the vertex, what it adds to that layer; rays traced, and vertices lost to a full
-    stack.
+    One ray goes by BRDF or coarse directions, by the toss of a coin; DEEP_RAYS more by those of the cell, if there is
+    one. Returns the new top, the layer of the vertex, what it adds to that layer; rays traced, and vertices lost to a
+    full stack.
     """
     p, offset, n, wo, throughput, material, depth, layer, key = fr.pop(work, top)
     top -= 1
     start, _ = rng.uniform2(key, fr.FEW)
     light, traced = ws.gather_few(scene, work.packet, lights, count, few, p, n, offset, wo, material, bound, start)
     own = vec.mul(throughput, light)
+    lost = 0
     cluster = np.int64(cluster_of(maps, p, n, work.forecast.codeword_distance))
     cell = cell_of(maps, p, n)
-    steered = cell >= 0
-    ray_key = rng.subkey(key, fr.SAMPLE)
-    choice, survive = rng.uniform2(ray_key, fr.CHOICE)
-    u, v = rng.uniform2(ray_key, fr.DIRECTION)
-    sampler, choice = _choose(steered, choice)
-    if sampler == 0:
-        direction = bsdf.sample(scene, material, n, wo, choice, u, v)
-    elif sampler == 1:
-        direction = cm.sample_coarse(maps, cluster, choice, u, v)
-    else:
-        direction = cm.sample_cell(maps, cell, choice, u, v)
-    cosine = vec.dot(n, direction)
-    if cosine <= ZERO:
-        return top, layer, own, traced, 0
-    density = bsdf.pdf(scene, material, n, wo, direction) + cm.coarse_pdf(maps, cluster, direction)
-    if steered:
-        density = (density + cm.cell_pdf(maps, cell, direction)) * THIRD
-    else:
-        density *= HALF
-    weight = vec.scale(bsdf.evaluate(scene, material, n, wo, direction), cosine / density)
-    weight = vec.mul(throughput, weight)
-    if vec.max3(weight) <= ZERO:
-        return top, layer, own, traced, 0
-    primitive, t = intersect(scene.handle, scene.triangle_count, work.packet, p, direction, INFINITY)
-    traced += 1
-    if primitive < 0:
-        return top, layer, own, traced, 0
-    top, _, light, more, lost = fr.land(
-        scene, work, top, p, n, wo, material, depth, layer, direction, weight, primitive, t, bound, survive, ray_key
-    )
-    return top, layer, vec.add(own, light), traced + more, lost
+    steered = DEEP_RAYS if cell >= 0 else 0
+    for j in range(1 + steered):
+        ray_key = rng.subkey(key, fr.SAMPLE + j)
+        choice, survive = rng.uniform2(ray_key, fr.CHOICE)
+        u, v = rng.uniform2(ray_key, fr.DIRECTION)
+        if j > 0:
+            direction = cm.sample_cell(maps, cell, choice, u, v)
+        elif choice < HALF:
+            direction = bsdf.sample(scene, material, n, wo, TWO * choice, u, v)
+        else:
+            direction = cm.sample_coarse(maps, cluster, min(ALMOST_ONE, TWO * (choice - HALF)), u, v)
+        cosine = vec.dot(n, direction)
+        if cosine <= ZERO:
+            continue
+        density = HALF * (bsdf.pdf(scene, material, n, wo, direction) + cm.coarse_pdf(maps, cluster, direction))
+        if steered > 0:
+            density += np.float32(steered) * cm.cell_pdf(maps, cell, direction)
+        weight = vec.scale(bsdf.evaluate(scene, material, n, wo, direction), cosine / density)
+        weight = vec.mul(throughput, weight)
+        if vec.max3(weight) <= ZERO:
+            continue
+        primitive, t = intersect(scene.handle, scene.triangle_count, work.packet, p, direction, INFINITY)
+        traced += 1
+        if primitive < 0:
+            continue
+        top, _, light, more, missing = fr.land(
+            scene, work, top, p, n, wo, material, depth, layer, direction, weight, primitive, t, bound, survive, ray_key
+        )
+        own = vec.add(own, light)
+        traced += more
+        lost += missing
+    return top, layer, own, traced, lost
 
 
 @inline
