@@ -33,7 +33,7 @@ def _variance(sums, before, i, high, mean, own):
 def _group_variance(sums, before, passes, floor):
     """Sum over pixels and channels of the variance of a pass, over R^2 + floor; `before` becomes a copy of `sums`.
 
-    sums, before (slots, channels): see render.film, at the end of the group and of the one before it; passes: those before
+    sums, before (slots, channels): see render.film, at the end of the group and of the one before it; passes: before
     the group, of which R is the mean, and those of the group.
     """
     total = 0.0
