@@ -1,12 +1,14 @@
 #!/usr/bin/env python3
-"""Path tracing of causticmpi beside Mitsuba 3 (`path`) in one run: paths per CPU second, one core.
+"""Path tracing of causticmpi beside Mitsuba 3 (`path`) in one run: paths per CPU second and error at equal time.
 
     python scripts/peer_mitsuba.py configs/cornell.yaml [--rounds 5] [--tessellate LEVEL]
 
 needs `pip install -e '.[peers]'` and an LLVM library (16 or later; DRJIT_LIBLLVM_PATH names one). Errors at equal
 time, other methods and renderers: scripts/peers. Both render the same triangles, spheres, camera and lights;
---tessellate gives Mitsuba icospheres of that level instead of its own spheres. Rounds are interleaved; the ratio is
-taken within each round.
+--tessellate gives Mitsuba icospheres of that level instead of its own spheres. Rounds are interleaved, one core.
+The error is relMSE x CPU seconds = seconds of a render * mean(variance between renders / (mean^2 + 0.01)): what is left
+of it after t seconds is that number over t. The mean is that of squares of 16 pixels in both renderers' pictures, since
+a pixel's own mean would hide its fireflies. `trimmed` leaves out the 0.1 % worst pixels, where luck decides.
 """
 
 import argparse
@@ -35,23 +37,59 @@ def main() -> None:
     subject = Subject(arguments.config)
     film = subject.config.film
     scene = mitsuba_scene(mi, subject.scene.data, film.width, film.height, arguments.tessellate)
+    subject.picture(0)
     np.array(mi.render(scene, spp=SAMPLES, seed=0))
-    ours, theirs = [], []
+    ours, theirs = Renders("causticmpi pt", 1), Renders(f"mitsuba {mi.__version__} path, {note}", SAMPLES)
     for i in range(arguments.rounds):
-        subject.path_tracing()
-        ours.append(subject.path_rates[-1])
+        for j in range(SAMPLES):
+            ours.add(*subject.picture(1 + SAMPLES * i + j))
         began = time.process_time()
         picture = np.array(mi.render(scene, spp=SAMPLES, seed=1 + i))
-        seconds = time.process_time() - began
-        theirs.append(film.width * film.height * SAMPLES / seconds / 1e6)
-    mean = subject.film.reshape(-1, 2, 3).sum(axis=1).mean() / len(ours)
-    ratios = [a / b for a, b in zip(ours, theirs, strict=True)]
-    for name, values in (("causticmpi pt", ours), (f"mitsuba {mi.__version__} path, {note}", theirs)):
+        theirs.add(picture.astype(np.float64).reshape(-1, 3), time.process_time() - began)
+    mean = smooth((ours.sum / ours.count + theirs.sum / theirs.count) / 2, film.width, film.height)
+    for renders in (ours, theirs):
+        whole, trimmed = renders.errors(mean)
         print(
-            f"{name:24} {statistics.median(values):.3f} Mpaths per CPU second ({min(values):.3f} - {max(values):.3f})"
+            f"{renders.name:24} {renders.paths_per_second() / 1e6:.3f} Mpaths per CPU second; relMSE x seconds "
+            f"{whole:.3f}, trimmed {trimmed:.3f}; mean radiance {renders.sum.mean() / renders.count:.4f}"
         )
-    print(f"{'ratio':24} {statistics.median(ratios):.2f} ({min(ratios):.2f} - {max(ratios):.2f})")
-    print(f"{'mean radiance':24} ours {mean:.4f}, theirs {picture.mean():.4f}")
+    rates = ours.paths_per_second() / theirs.paths_per_second()
+    factors = [b / a for a, b in zip(ours.errors(mean), theirs.errors(mean), strict=True)]
+    print(f"{'ratio':24} paths {rates:.2f}; error {factors[0]:.2f} times less, trimmed {factors[1]:.2f}")
+
+
+def smooth(picture: np.ndarray, width: int, height: int, side: int = 16) -> np.ndarray:
+    """Each pixel of a (height * width, 3) picture as the mean of its square."""
+    number = np.arange(height)[:, None] // side * width + np.arange(width) // side
+    _, square = np.unique(number.ravel(), return_inverse=True)
+    sums = np.stack([np.bincount(square, picture[:, c]) for c in range(3)], axis=1)
+    return (sums / np.bincount(square)[:, None])[square]
+
+
+class Renders:
+    """Independent renders of one picture: sums, squares and CPU seconds."""
+
+    def __init__(self, name: str, samples: int) -> None:
+        self.name, self.samples = name, samples
+        self.sum = self.squares = np.zeros(())
+        self.seconds: list[float] = []
+
+    @property
+    def count(self) -> int:
+        return len(self.seconds)
+
+    def add(self, picture: np.ndarray, seconds: float) -> None:
+        self.sum, self.squares = self.sum + picture, self.squares + picture * picture
+        self.seconds.append(seconds)
+
+    def paths_per_second(self) -> float:
+        return len(self.sum) * self.samples / statistics.median(self.seconds)
+
+    def errors(self, mean: np.ndarray) -> tuple[float, float]:
+        """relMSE x CPU seconds, of all pixels and without the 0.1 % worst."""
+        variance = (self.squares - self.sum * self.sum / self.count) / (self.count - 1)
+        pixels = np.sort((variance / (mean * mean + 0.01)).mean(axis=1)) * statistics.median(self.seconds)
+        return float(pixels.mean()), float(pixels[: int(0.999 * len(pixels))].mean())
 
 
 if __name__ == "__main__":

@@ -107,6 +107,23 @@ def rays(count: int = RAYS) -> tuple[np.ndarray, np.ndarray]:
     return origin.astype(np.float32), direction.astype(np.float32)
 
 
+def test_a_ray_in_a_packet_does_not_know_its_neighbours(soup: Soup, built: EmbreeScene) -> None:
+    """The same bits whoever is in the other lanes, so that paths may share packets with those of any pixel."""
+    origin, direction = rays()
+    chosen = np.random.default_rng(4).permutation(RAYS)
+    answers = []
+    for order in (np.arange(RAYS), chosen):
+        primitive, t = np.empty(RAYS, np.int64), np.empty(RAYS, np.float32)
+        run_packets(built.handle, len(soup.triangles), ray_buffer(), origin[order], direction[order], primitive, t)
+        back = np.argsort(order)
+        used = (np.arange(RAYS) % 16 % 5 != 0)[back]
+        answers.append((primitive[back], t[back], used))
+    both = answers[0][2] & answers[1][2]
+    assert both.sum() > RAYS // 2
+    for a, b in zip(answers[0][:2], answers[1][:2], strict=True):
+        assert a[both].tobytes() == b[both].tobytes()
+
+
 def test_intersect_against_brute_force(soup: Soup, built: EmbreeScene) -> None:
     """Primitives are numbered triangles first; t is in units of the direction; spheres are hit from inside as well."""
     origin, direction = rays()

@@ -201,14 +201,17 @@ def test_radiance_not_scaled_at_refraction(tmp_path: Path, monkeypatch: pytest.M
     water = scene_from(room(0.5, below=1.33**2, inside=UNDER_WATER), tmp_path)
     assert compare_with_truth(blocks_of(water, settings("pt"), 300), 2.0).p > ALPHA
     mutant(
-        "kernels.eye_path",
+        "estimators.path_specular",
         tmp_path,
-        ("vec.scale(vec.mul(throughput, weight), eta * eta)", "vec.mul(throughput, weight)"),
+        ("ONE if reflects else eta * eta", "ONE"),
     )
     made = mutant(
         "estimators.path_tracing",
         tmp_path,
-        ("from causticmpi.kernels.eye_path import", "from mutant_kernels_eye_path import"),
+        (
+            "from causticmpi.estimators import path_specular as specular_stages",
+            "import mutant_estimators_path_specular as specular_stages",
+        ),
     )
     monkeypatch.setattr(methods, "trace_paths", made.trace_paths)
     assert compare_with_truth(blocks_of(water, settings("pt"), 300), 2.0).p < CLEAR

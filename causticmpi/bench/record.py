@@ -18,10 +18,12 @@ from causticmpi.kernels import embree
 from causticmpi.kernels.embree import LANES, LIBRARY
 
 SINGLE_WORDS, PACKET_WORDS = 24, 12 * LANES
-"""float32 words kept per query: an RTCRayHit (the last word tells occlusion queries), an RTCRay16."""
-MOST_SINGLE, MOST_PACKETS, MOST_EYE_PACKETS = 4_000_000, 150_000, 40_000
+"""float32 words kept per query: an RTCRayHit, an RTCRay16."""
+MOST_SINGLE, MOST_PACKETS = 4_000_000, 200_000
 MOST_PHOTONS = 200_000
 """Caustic points whose rays are recorded."""
+NEAREST, SHADOW = 0, 1
+"""Kinds of packet: rtcIntersect16 and rtcOccluded16."""
 
 
 def _as_pointer(typingctx: Any, address: Any) -> Any:
@@ -44,74 +46,80 @@ def _symbol(name: str, arguments: int) -> Any:
 
 
 class Recorder:
-    """Keeps the first queries of each kind; `counts` is how many of them there are."""
+    """Keeps the first queries in packets; `kinds` says of which kind each is, `counts[0]` how many there are."""
 
     def __init__(self) -> None:
-        self.single = np.zeros((MOST_SINGLE, SINGLE_WORDS), np.float32)
         self.packets = np.zeros((MOST_PACKETS, PACKET_WORDS), np.float32)
-        self.eye_packets = np.zeros((MOST_EYE_PACKETS, PACKET_WORDS), np.float32)
-        self.counts = np.zeros(3, np.int64)
+        self.kinds = np.zeros(MOST_PACKETS, np.int8)
+        self.counts = np.zeros(1, np.int64)
+        self.single = np.zeros((MOST_SINGLE, SINGLE_WORDS), np.float32)
+        self.single_count = np.zeros(1, np.int64)
         self._callbacks = [
-            self._replace("rtcIntersect1", 0.0),
-            self._replace("rtcOccluded1", 1.0),
-            self._replace16("rtcOccluded16", self.packets, 1),
-            self._replace16("rtcIntersect16", self.eye_packets, 2),
+            self._replace_single(),
+            self._replace("rtcIntersect16", NEAREST),
+            self._replace("rtcOccluded16", SHADOW),
         ]
 
-    def _replace(self, name: str, kind: float) -> Any:
-        real = _symbol(name, 3)
-        log, most = self.single.ctypes.data, MOST_SINGLE
-        counter = self.counts.ctypes.data
+    def _replace_single(self) -> Any:
+        real = _symbol("rtcIntersect1", 3)
+        log, counter = self.single.ctypes.data, self.single_count.ctypes.data
 
         @numba.cfunc(types.void(types.intp, types.intp, types.intp))
         def record(scene, ray, arguments):
-            count = numba.carray(_pointer(counter), (6,)).view(np.int64)
-            if count[0] < most:
+            count = numba.carray(_pointer(counter), (2,)).view(np.int64)
+            if count[0] < MOST_SINGLE:
                 row = numba.carray(_pointer(log + count[0] * 4 * SINGLE_WORDS), (SINGLE_WORDS,))
                 source = numba.carray(_pointer(ray), (12,))
                 for i in range(12):
                     row[i] = source[i]
-                row[SINGLE_WORDS - 1] = kind
                 count[0] += 1
             real(scene, ray, arguments)
 
-        llvm.add_symbol(name, record.address)
+        llvm.add_symbol("rtcIntersect1", record.address)
         return record
 
-    def _replace16(self, name: str, rows: np.ndarray, slot: int) -> Any:
+    def _replace(self, name: str, kind: int) -> Any:
         real = _symbol(name, 4)
-        log, most = rows.ctypes.data, len(rows)
-        counter = self.counts.ctypes.data
+        log, kinds, counter = self.packets.ctypes.data, self.kinds.ctypes.data, self.counts.ctypes.data
 
         @numba.cfunc(types.void(types.intp, types.intp, types.intp, types.intp))
         def record(valid, scene, ray, arguments):
-            count = numba.carray(_pointer(counter), (6,)).view(np.int64)
-            if count[slot] < most:
-                row = numba.carray(_pointer(log + count[slot] * 4 * PACKET_WORDS), (PACKET_WORDS,))
+            count = numba.carray(_pointer(counter), (2,)).view(np.int64)
+            if count[0] < MOST_PACKETS:
+                row = numba.carray(_pointer(log + count[0] * 4 * PACKET_WORDS), (PACKET_WORDS,))
                 source = numba.carray(_pointer(ray), (PACKET_WORDS,))
                 for i in range(PACKET_WORDS):
                     row[i] = source[i]
-                count[slot] += 1
+                numba.carray(_pointer(kinds), (MOST_PACKETS // 4,)).view(np.int8)[count[0]] = kind
+                count[0] += 1
             real(valid, scene, ray, arguments)
 
         llvm.add_symbol(name, record.address)
         return record
 
+    def take(self) -> tuple[np.ndarray, np.ndarray]:
+        """Packets and kinds recorded since the last call."""
+        count = int(self.counts[0])
+        self.counts[0] = 0
+        return self.packets[:count].copy(), self.kinds[:count].copy()
+
 
 def main(config_file: str, out: str) -> None:
-    """Record one pass of `pt` and the first part of a pass of `iws` into `out`: arrays `single`, `eye_packets` (nearest
-    hit), `packets` (shadow) and `photons`."""
+    """Record queries of `pt` (`path_packets`, `path_kinds`, in order) and the virtual lights' shadow rays (`packets`)
+    and rays of `photons` into `out`."""
     recorder = Recorder()
     from causticmpi.bench.subjects import Subject
 
     subject = Subject(config_file)
     subject.path_tracing()
-    single, eye = recorder.single[: recorder.counts[0]].copy(), recorder.eye_packets[: recorder.counts[2]].copy()
+    path_packets, path_kinds = recorder.take()
     subject.gather(subject.pixels[: len(subject.pixels) // 2 // 16 * 16])
-    recorder.counts[0] = 0
+    packets, kinds = recorder.take()
+    recorder.single_count[0] = 0
     subject.photons(MOST_PHOTONS)
-    photons = recorder.single[: recorder.counts[0]]
-    np.savez(out, single=single, eye_packets=eye, packets=recorder.packets[: recorder.counts[1]], photons=photons)
+    photons = recorder.single[: recorder.single_count[0]]
+    shadows = packets[kinds == SHADOW]
+    np.savez(out, path_packets=path_packets, path_kinds=path_kinds, packets=shadows, photons=photons)
 
 
 if __name__ == "__main__":

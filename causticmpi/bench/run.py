@@ -16,23 +16,25 @@ from causticmpi.bench.subjects import Subject
 
 REPETITIONS = 5
 RATES = {
-    "raw_single": "Embree alone, the path tracer's own rays (eye packets, then one by one)",
+    "raw_single": "Embree alone, the path tracer's rays to the nearest hit one by one (rtcIntersect1)",
+    "raw_paths": "Embree alone, all of the path tracer's packets in its order",
     "pt": "path tracing, all of it",
-    "raw_packets": "Embree alone, the shadow rays of virtual lights in packets of 16",
+    "raw_packets": "Embree alone, the shadow rays of virtual lights in packets of 16 (rtcOccluded16)",
     "gather": "virtual-light gather, all of it",
     "raw_photons": "Embree alone, the rays of forecast photons",
     "photons": "shooting photons until 1 M caustic points are found, all of it",
 }
 """What is timed, in million rays per CPU second."""
 RATIOS = {
-    "pt / raw": ("pt", "raw_single"),
+    "pt / raw": ("pt", "raw_paths"),
     "gather / raw": ("gather", "raw_packets"),
     "photons / raw": ("photons", "raw_photons"),
 }
 
 
 def recorded_rays(config_file: str) -> dict[str, np.ndarray]:
-    """Queries recorded in a process of its own: single and photons (n, 24), eye and shadow packets (m, 192)."""
+    """Queries recorded in a process of its own: path packets (n, 192) and kinds, shadow
+    packets (m, 192), photons (k, 24)."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "rays.npz"
         subprocess.run([sys.executable, "-m", "causticmpi.bench.record", config_file, str(out)], check=True)
@@ -49,7 +51,8 @@ def measure(config_file: str, repetitions: int = REPETITIONS) -> dict[str, Any]:
     million: list[dict[str, float]] = []
     for _ in range(repetitions):
         for name, timed in (
-            ("raw_single", lambda: subject.raw_single(recorded["single"], recorded["eye_packets"])),
+            ("raw_single", lambda: subject.raw_single(recorded["path_packets"], recorded["path_kinds"])),
+            ("raw_paths", lambda: subject.raw_paths(recorded["path_packets"], recorded["path_kinds"])),
             ("pt", subject.path_tracing),
             ("raw_packets", lambda: subject.raw_packets(recorded["packets"])),
             ("gather", subject.gather),

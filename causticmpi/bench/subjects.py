@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 
 from causticmpi.bench.preprocess import MILLION, preprocess_of
+from causticmpi.bench.record import NEAREST
 from causticmpi.config.load import load_config, scene_path
 from causticmpi.distributed.clock import Stopwatch
 from causticmpi.distributed.prepare import prepare_forecast, prepare_method, share_scene
@@ -17,12 +18,12 @@ from causticmpi.kernels.embree import (
     GEOM,
     LANES,
     MISS,
-    PRIM,
+    RAY16,
     TFAR,
+    VALID,
     ray_buffer,
     rtc_intersect1,
     rtc_intersect16,
-    rtc_occluded1,
     rtc_occluded16,
 )
 from causticmpi.kernels.jit import kernel
@@ -46,20 +47,53 @@ def _see_and_gather(scene, camera, work, pixels, pass_index, lights, count, boun
 
 
 @kernel
-def _replay_single(handle, queries, buffer):
+def _replay_rows(handle, queries):
     """Embree alone on recorded single rays, in place. Returns hits, so that nothing is optimized away."""
     hits = 0
     words = queries.view(np.uint32)
-    base = queries.ctypes.data
     for i in range(queries.shape[0]):
-        if queries[i, 23] == 0:
-            words[i, GEOM] = MISS
-            rtc_intersect1(handle, base + i * 128, 0)
-            hits += words[i, PRIM]
-        else:
-            rtc_occluded1(handle, base + i * 128, 0)
-            hits += queries[i, TFAR] < 0
+        words[i, GEOM] = MISS
+        rtc_intersect1(handle, queries.ctypes.data + i * 128, 0)
+        hits += words[i, GEOM] != MISS
     return hits
+
+
+@kernel
+def _replay_single(handle, rays, packets, kinds):
+    """Embree alone on the nearest-hit rays of recorded packets, one by one. Returns rays."""
+    words = rays.view(np.uint32)
+    queries = 0
+    for i in range(packets.shape[0]):
+        if kinds[i] != NEAREST:
+            continue
+        for lane in range(LANES):
+            if packets[i, 16 * TFAR + lane] < 0:
+                continue
+            for word in range(9):
+                rays[word] = packets[i, 16 * word + lane]
+            words[GEOM] = MISS
+            rtc_intersect1(handle, rays.ctypes.data, 0)
+            queries += 1
+    return queries
+
+
+@kernel
+def _replay_paths(handle, rays, packets, kinds):
+    """Embree alone on recorded packets of both kinds, in order. Returns rays in use."""
+    words = rays.view(np.uint32)
+    valid, packet = rays.ctypes.data + 4 * VALID, rays.ctypes.data + 4 * RAY16
+    used = 0
+    for i in range(packets.shape[0]):
+        for word in range(packets.shape[1]):
+            rays[RAY16 + word] = packets[i, word]
+        for lane in range(LANES):
+            used += packets[i, 16 * TFAR + lane] > 0
+            words[RAY16 + 16 * GEOM + lane] = MISS
+        if kinds[i] == NEAREST:
+            rtc_intersect16(valid, handle, packet, 0)
+        else:
+            rtc_occluded16(valid, handle, packet, 0)
+    return used
 
 
 @kernel
@@ -68,17 +102,6 @@ def _replay_packets(handle, valid, packets):
     base = packets.ctypes.data
     for i in range(packets.shape[0]):
         rtc_occluded16(valid.ctypes.data, handle, base + i * 4 * packets.shape[1], 0)
-
-
-@kernel
-def _replay_eye_packets(handle, valid, packets):
-    """Embree alone on recorded eye packets, rows wide enough for the hits, in place."""
-    base = packets.ctypes.data
-    words = packets.view(np.uint32)
-    for i in range(packets.shape[0]):
-        for lane in range(LANES):
-            words[i, 16 * GEOM + lane] = MISS
-        rtc_intersect16(valid.ctypes.data, handle, base + i * 4 * packets.shape[1], 0)
 
 
 def _aligned(rows: int, words: int) -> np.ndarray:
@@ -91,6 +114,10 @@ def _all_lanes() -> np.ndarray:
     valid = _aligned(1, LANES)[0].view(np.int32)
     valid[:] = -1
     return valid
+
+
+PART = 16 * 64
+"""Rows of `pixels` in one call of the path tracer."""
 
 
 class Subject:
@@ -114,14 +141,23 @@ class Subject:
         return self._methods[name]
 
     def path_tracing(self) -> tuple[int, float]:
-        """One pass of `pt`."""
+        """One pass of `pt` in every fourth part of the picture."""
         method = self._method("pt")
         assert isinstance(method, PathTracing)
         method.begin_pass(0)
         method.trace(self.pixels[:0], self.film)
-        rays, seconds = _timed(lambda: method.trace(self.pixels, self.film))
-        self.path_rates.append(len(self.film) / seconds / 1e6)
+        parts = [self.pixels[row : row + PART] for row in range(0, len(self.pixels), 4 * PART)]
+        rays, seconds = _timed(lambda: sum(method.trace(part, self.film) for part in parts))
+        self.path_rates.append(sum(int((part[:, 0] >= 0).sum()) for part in parts) / seconds / 1e6)
         return rays, seconds
+
+    def picture(self, pass_index: int) -> tuple[np.ndarray, float]:
+        """One whole pass of `pt`, L_d + L_c as (pixels, 3) float64, and its CPU seconds."""
+        method = self._method("pt")
+        method.begin_pass(pass_index)
+        film = np.zeros_like(self.film)
+        _, seconds = _timed(lambda: method.trace(self.pixels, film))
+        return film[:, :3].astype(np.float64) + film[:, 3:], seconds
 
     def gather(self, pixels: np.ndarray | None = None) -> tuple[int, float]:
         """Virtual lights of one pass at the first vertices: shadow rays, and the time without finding the vertices."""
@@ -159,25 +195,26 @@ class Subject:
         prepare_forecast(SerialWorld(), self.config, self.scene, watch)
         return watch.stages
 
-    def raw_single(self, queries: np.ndarray, eye_packets: np.ndarray) -> tuple[int, float]:
-        """Embree alone on the path tracer's rays: single ones (n, 24) and eye packets (m, 192)."""
-        rays, packets = _aligned(len(queries), 32), _aligned(len(eye_packets), 16 * 24)
-        rays[:, :24] = queries
-        packets[:, : eye_packets.shape[1]] = eye_packets
-        handle, valid = self.scene.embree.handle, _all_lanes()
-        _replay_single(handle, _aligned(0, 32), 0)
-        _replay_eye_packets(handle, valid, packets[:0])
-        in_use = int((eye_packets.reshape(-1, 12, LANES)[:, TFAR] >= 0).sum())
-        seconds = _timed(lambda: _replay_single(handle, rays, 0))[1]
-        return len(queries) + in_use, seconds + _timed(lambda: _replay_eye_packets(handle, valid, packets))[1]
+    def raw_single(self, packets: np.ndarray, kinds: np.ndarray) -> tuple[int, float]:
+        """Embree alone, ray by ray, on the path tracer's nearest-hit rays: the incoherent rate."""
+        return self._replay(_replay_single, packets, kinds)
+
+    def raw_paths(self, packets: np.ndarray, kinds: np.ndarray) -> tuple[int, float]:
+        """Embree alone on the path tracer's own packets, the same queries in the same order."""
+        return self._replay(_replay_paths, packets, kinds)
+
+    def _replay(self, kernel: Any, packets: np.ndarray, kinds: np.ndarray) -> tuple[int, float]:
+        handle, rays = self.scene.embree.handle, ray_buffer()
+        kernel(handle, rays, packets[:0], kinds[:0])
+        return _timed(lambda: kernel(handle, rays, packets, kinds))
 
     def raw_photons(self, queries: np.ndarray) -> tuple[int, float]:
         """Embree alone on recorded rays of photons (n, 24)."""
         rays = _aligned(len(queries), 32)
         rays[:, :24] = queries
         handle = self.scene.embree.handle
-        _replay_single(handle, rays[:0], 0)
-        return len(queries), _timed(lambda: _replay_single(handle, rays, 0))[1]
+        _replay_rows(handle, rays[:0])
+        return len(queries), _timed(lambda: _replay_rows(handle, rays))[1]
 
     def raw_packets(self, packets: np.ndarray) -> tuple[int, float]:
         """Embree alone on recorded 16-wide shadow packets (n, 192): rays in use."""

@@ -4,7 +4,15 @@ import numpy as np
 
 from causticmpi.config.records import Camera, RenderConfig
 from causticmpi.distributed.world import SerialWorld
-from causticmpi.estimators import iws_cf, iws_mixture, iws_pm, light_tracing, path_tracing, virtual_lights
+from causticmpi.estimators import (
+    brute_force,
+    iws_cf,
+    iws_mixture,
+    iws_pm,
+    light_tracing,
+    path_tracing,
+    virtual_lights,
+)
 from causticmpi.kernels import kdtree
 from causticmpi.kernels.embree import ray_buffer
 from causticmpi.kernels.jit import compiled_anew
@@ -23,7 +31,7 @@ from causticmpi.scene.tracing import camera_array
 
 KERNELS = [
     path_tracing.trace_paths,
-    path_tracing.trace_paths_brute,
+    brute_force.trace_paths_brute,
     virtual_lights.trace_virtual_lights,
     iws_cf.trace_iws_cf,
     iws_mixture.trace_iws_mixture,

@@ -1,193 +1,104 @@
-"""Path tracing (PT), the unbiased rival: with next-event estimation, and by brute force.
+"""Path tracing (PT) with next-event estimation, the unbiased rival.
 
-Both tell the diffusive and the caustic part apart as IWS does: a path belongs to L_c if the first surface seen from its
+It tells the diffusive and the caustic part apart as IWS does: a path belongs to L_c if the first surface seen from its
 first non-specular vertex p is specular, else to L_d (with what is seen directly).
+
+Light that comes by way of specular surfaces is met by luck alone, and makes nearly all the noise. So the first
+non-specular vertices of a path send several rays into the scene; all of them follow specular surfaces, while other
+surfaces, lit by next-event estimation, are for the first ray alone. Roulette by throughput makes one path of them again
+where they meet a non-specular surface. A scene without specular surfaces has no use for it, and is not split.
 """
 
-import math
+import numpy as np
 
-from causticmpi.kernels import bsdf, rng, vec
-from causticmpi.kernels.camera import lane_direction, see_packet
-from causticmpi.kernels.embree import LANES, intersect, lane_hit, visible
-from causticmpi.kernels.eye_path import emitted, facing, scatter_along_eye_path
+from causticmpi.estimators import path_diffuse as diffuse_stages
+from causticmpi.estimators import path_layout as at
+from causticmpi.estimators import path_specular as specular_stages
+from causticmpi.estimators import path_stages as stages
+from causticmpi.kernels import rng
+from causticmpi.kernels.camera import see_packet
+from causticmpi.kernels.embree import LANES, RAY16
 from causticmpi.kernels.jit import inline, kernel
-from causticmpi.kernels.pixels import add_sample
-from causticmpi.kernels.traced_scene import hit_point, is_specular, light_point, pick_light
-from causticmpi.kernels.vec import BLACK, INFINITY, ONE, WHITE, ZERO
-
-ROULETTE_START = 3
-"""Diffuse vertices before Russian roulette sets in; before it roulette costs more noise than it saves time."""
-CHOICE, DIRECTION, LIGHT = 0, 1, 2
-"""Dimensions of a vertex key."""
+from causticmpi.kernels.traced_scene import is_specular
+from causticmpi.kernels.vec import ONE, WHITE
 
 
-@inline
-def light_density(scene, light, distance2, cosine):
-    """Density of next-event estimation at a point of a light, as solid angle seen from `distance2` away [1/sr]."""
-    return scene.light_pdf[light] * distance2 / cosine
+@kernel
+def trace_paths(scene, camera, work, queues, splits, pixels, seed, pass_index, film):
+    """One path a pixel; adds to `film` (see kernels.pixels).
 
-
-@inline
-def direct_light(scene, rays, p, n, offset, material, wo, key):
-    """Next-event estimate of the light that reaches p straight from an emitter and leaves towards wo.
-
-    Weighted against BRDF sampling by the balance heuristic. Returns (RGB radiance, rays traced).
+    work, queues: `path_layout.path_work`; splits (2,) int64: rays of the first and of the second non-specular vertex.
+    Returns rays traced.
     """
-    u, v = rng.uniform2(key, LIGHT)
-    light, u = pick_light(scene, u)
-    q, n_q, offset_q = light_point(scene, light, u, v)
-    d = vec.sub(q, p)
-    distance2 = vec.dot(d, d)
-    if distance2 <= ZERO:
-        return BLACK, 0
-    wi = vec.scale(d, ONE / math.sqrt(distance2))
-    cosine, cosine_q = vec.dot(n, wi), -vec.dot(n_q, wi)
-    if cosine <= ZERO or cosine_q <= ZERO:
-        return BLACK, 0
-    if not visible(scene.handle, rays, vec.along(p, n, offset), vec.along(q, n_q, max(offset, offset_q))):
-        return BLACK, 1
-    density = light_density(scene, light, distance2, cosine_q)
-    weight = cosine / (density + bsdf.pdf(scene, material, n, wo, wi))  # balance heuristic [Veach 1997, (9.8)]
-    f = bsdf.evaluate(scene, material, n, wo, wi)
-    return vec.scale(vec.mul(f, vec.row(scene.light_radiance, light)), weight), 1
-
-
-@kernel
-def trace_paths(scene, camera, rays, pixels, seed, pass_index, film):
-    """One path a pixel with next-event estimation and roulette; adds to `film` (see kernels.pixels). Returns rays
-    traced."""
     traced = 0
-    for i in range(pixels.shape[0]):
-        if i % LANES == 0:
-            traced += see_packet(scene, camera, rays, pixels, i, seed, pass_index)
-        if pixels[i, 0] < 0:
-            continue
-        key = rng.make_key(seed, rng.CAMERA, pass_index, pixels[i, 2])
-        primitive, t = lane_hit(scene.triangle_count, rays, i % LANES)
-        origin, direction = vec.row(camera, 0), lane_direction(rays, i % LANES)
-        throughput, diffusive, caustic = WHITE, BLACK, BLACK
-        depth, chain, bounce = 0, 0, 0  # D vertices so far; S vertices since the last D; all vertices
-        is_caustic = False
-        density = ZERO  # of the last BRDF sample; 0 after the eye or a specular surface
-        while True:
-            if bounce > 0:
-                primitive, t = intersect(scene.handle, scene.triangle_count, rays, origin, direction, INFINITY)
-                traced += 1
-            if primitive < 0:
-                break
-            p, n, offset = hit_point(scene, primitive, origin, direction, t)
-            material = scene.material[primitive]
-            vertex = rng.subkey(key, bounce)
-            bounce += 1
-            if is_specular(scene.kind[material]):
-                u, v = rng.uniform2(vertex, CHOICE)
-                chain += 1
-                if chain > bsdf.ROULETTE_START:
-                    if v >= bsdf.SURVIVAL:
-                        break
-                    throughput = vec.scale(throughput, ONE / bsdf.SURVIVAL)
-                if depth == 1 and chain == 1:
-                    is_caustic = True
-                origin, direction, throughput = scatter_along_eye_path(
-                    scene, primitive, n, p, offset, direction, throughput, u
+    for first in range(0, pixels.shape[0], at.GROUP):
+        group = pixels[first : first + at.GROUP]
+        rays, diffuse, specular = see_group(scene, camera, work, queues[0], group, seed, pass_index)
+        traced += rays
+        wave = 0
+        while diffuse + specular > 0:
+            now, then = queues[wave & 1], queues[(wave + 1) & 1]
+            next_diffuse, next_specular = 0, 0
+            for block in range((diffuse + LANES - 1) // LANES):
+                lanes = min(LANES, diffuse - block * LANES)
+                at.load_block(work, now[0], block)
+                traced += light_and_send(scene, work, group, film, lanes, splits)
+                next_diffuse, next_specular = diffuse_stages.queue_bounces(
+                    scene, work, then, lanes, next_diffuse, next_specular
                 )
-                if vec.max3(throughput) <= ZERO:
-                    break
+            for block in range((specular + LANES - 1) // LANES):
+                lanes = min(LANES, specular - block * LANES)
+                at.load_block(work, now[1], block)
+                traced += follow_specular(scene, work, lanes)
+                next_diffuse, next_specular = specular_stages.queue_packet(
+                    scene, work, then, lanes, next_diffuse, next_specular
+                )
+            diffuse, specular = next_diffuse, next_specular
+            wave += 1
+    return traced
+
+
+@inline
+def see_group(scene, camera, work, queues, pixels, seed, pass_index):
+    """Let what the eye rays of all pixels meet wait. Returns (rays traced, vertices in either queue)."""
+    traced, diffuse, specular = 0, 0, 0
+    for first in range(0, pixels.shape[0], LANES):
+        traced += see_packet(scene, camera, work, pixels, first, seed, pass_index)
+        stages.number_hits(scene, work, RAY16)
+        stages.look_up(scene, work, RAY16)
+        for i in range(LANES):
+            kind = work.view(np.int32)[RAY16 + 16 * at.FOUND + i]
+            if kind < 0:
                 continue
-            light = emitted(scene, primitive, n, direction)
-            if vec.max3(light) > ZERO:
-                weight = ONE
-                if depth > 0 and chain == 0:
-                    cosine = -vec.dot(n, direction)
-                    weight = density / (density + light_density(scene, scene.light[primitive], t * t, cosine))
-                light = vec.scale(vec.mul(throughput, light), weight)
-                if is_caustic:
-                    caustic = vec.add(caustic, light)
-                else:
-                    diffusive = vec.add(diffusive, light)
-            n = facing(n, direction)
-            wo = vec.neg(direction)
-            albedo = bsdf.albedo(scene, material)
-            if vec.max3(albedo) <= ZERO:
-                break
-            chain = 0
-            light, shadow = direct_light(scene, rays, p, n, offset, material, wo, vertex)
-            traced += shadow
-            light = vec.mul(throughput, light)
-            if is_caustic:
-                caustic = vec.add(caustic, light)
+            row = first + i
+            key = rng.subkey(rng.make_key(seed, rng.CAMERA, pass_index, pixels[row, 2]), 0)
+            if is_specular(kind):
+                at.push(scene, work, queues[1], specular, RAY16, i, WHITE, ONE, key, row, 0, 0, 0)
+                specular += 1
             else:
-                diffusive = vec.add(diffusive, light)
-            depth += 1
-            choice, survive = rng.uniform2(vertex, CHOICE)
-            u, v = rng.uniform2(vertex, DIRECTION)
-            direction, weight = bsdf.sample_weight(scene, material, n, wo, choice, u, v)
-            throughput = vec.mul(throughput, weight)
-            if depth >= ROULETTE_START:
-                survival = min(bsdf.SURVIVAL, vec.max3(throughput))
-                if survive >= survival:
-                    break
-                throughput = vec.scale(throughput, ONE / survival)
-            if vec.max3(throughput) <= ZERO:
-                break
-            density = bsdf.pdf(scene, material, n, wo, direction)
-            origin = vec.along(p, n, offset)
-        add_sample(film, pixels[i, 3], diffusive, caustic)
+                at.push(scene, work, queues[0], diffuse, RAY16, i, WHITE, ONE, key, row, 0, 0, 0)
+                diffuse += 1
+    return traced, diffuse, specular
+
+
+@inline
+def light_and_send(scene, work, pixels, film, lanes, splits):
+    """Emission and next-event estimation of a block of non-specular vertices, and their rays. Returns rays traced."""
+    stages.locate(work, scene.triangle_count)
+    stages.draw(work)
+    glossy = diffuse_stages.meet(scene, work, lanes, splits[0], splits[1])
+    traced = diffuse_stages.connect(scene, work, glossy)
+    diffuse_stages.deposit(work, film, pixels, lanes)
+    for j in range(diffuse_stages.most_rays(work, lanes)):
+        traced += diffuse_stages.bounce(scene, work, j, glossy)
     return traced
 
 
-@kernel
-def trace_paths_brute(scene, camera, rays, pixels, seed, pass_index, film):
-    """One path a pixel that finds light by chance alone: no next-event estimation, no weights. Returns rays traced."""
-    traced = 0
-    for i in range(pixels.shape[0]):
-        if i % LANES == 0:
-            traced += see_packet(scene, camera, rays, pixels, i, seed, pass_index)
-        if pixels[i, 0] < 0:
-            continue
-        key = rng.make_key(seed, rng.CAMERA, pass_index, pixels[i, 2])
-        primitive, t = lane_hit(scene.triangle_count, rays, i % LANES)
-        origin, direction = vec.row(camera, 0), lane_direction(rays, i % LANES)
-        throughput, diffusive, caustic = WHITE, BLACK, BLACK
-        depth, chain, bounce = 0, 0, 0
-        is_caustic = False
-        while True:
-            if bounce > 0:
-                primitive, t = intersect(scene.handle, scene.triangle_count, rays, origin, direction, INFINITY)
-                traced += 1
-            if primitive < 0:
-                break
-            p, n, offset = hit_point(scene, primitive, origin, direction, t)
-            material = scene.material[primitive]
-            vertex = rng.subkey(key, bounce)
-            bounce += 1
-            choice, survive = rng.uniform2(vertex, CHOICE)
-            if is_specular(scene.kind[material]):
-                chain += 1
-                if depth == 1 and chain == 1:
-                    is_caustic = True
-                survival = bsdf.SURVIVAL if chain > bsdf.ROULETTE_START else ONE
-                origin, direction, throughput = scatter_along_eye_path(
-                    scene, primitive, n, p, offset, direction, throughput, choice
-                )
-            else:
-                chain = 0
-                depth += 1
-                light = vec.mul(throughput, emitted(scene, primitive, n, direction))
-                if is_caustic:
-                    caustic = vec.add(caustic, light)
-                else:
-                    diffusive = vec.add(diffusive, light)
-                n = facing(n, direction)
-                u, v = rng.uniform2(vertex, DIRECTION)
-                direction, weight = bsdf.sample_weight(scene, material, n, vec.neg(direction), choice, u, v)
-                throughput = vec.mul(throughput, weight)
-                origin = vec.along(p, n, offset)
-                survival = ONE
-                if depth > ROULETTE_START:
-                    survival = min(bsdf.SURVIVAL, vec.max3(throughput))
-            if survive >= survival or vec.max3(throughput) <= ZERO:
-                break
-            throughput = vec.scale(throughput, ONE / survival)
-        add_sample(film, pixels[i, 3], diffusive, caustic)
-    return traced
+@inline
+def follow_specular(scene, work, lanes):
+    """One specular event of a block. Returns rays traced."""
+    stages.locate(work, scene.triangle_count)
+    stages.draw(work)
+    specular_stages.look_up_specular(scene, work, lanes)
+    specular_stages.scatter(work)
+    return stages.trace_packet(scene, work, RAY16)

@@ -55,6 +55,7 @@ if "NUMBA_CACHE_DIR" not in os.environ:
 os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 
 import numba  # noqa: E402
+from llvmlite import ir  # noqa: E402
 
 # numba reads its environment when it is first imported, which may have been before this module.
 numba_config: Any = numba.config
@@ -75,6 +76,22 @@ def kernel(function: Callable[..., Any]) -> Any:
 def inline(function: Callable[..., Any]) -> Any:
     """A helper of kernels, always inlined: passing a scene of 17 arrays by value costs more than most helpers do."""
     return _njit(fastmath=FAST, error_model="numpy", forceinline=True, _nrt=False)(function)
+
+
+def _prefetch(typingctx: Any, address: Any) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        pointer, word = ir.IntType(8).as_pointer(), ir.IntType(32)
+        signature_of_it = ir.FunctionType(ir.VoidType(), [pointer, word, word, word])
+        call = builder.module.declare_intrinsic("llvm.prefetch", [pointer], signature_of_it)
+        read, near, data = (ir.Constant(word, value) for value in (0, 3, 1))
+        builder.call(call, [builder.inttoptr(arguments[0], pointer), read, near, data])
+        return context.get_dummy_value()
+
+    return numba.types.void(numba.types.intp), generate
+
+
+prefetch: Any = numba.extending.intrinsic(_prefetch)
+"""Ask for the cache line at an address, which need not be valid, before it is needed."""
 
 
 def compiled_anew(kernels: list[Any]) -> int:

@@ -14,11 +14,12 @@ class TracedScene(NamedTuple):
 
     handle          address of the Embree scene
     triangle_count  primitives below it are triangles, from it on spheres
-    surface         (P, 4) float32: unit normal and largest coordinate of a triangle; centre and radius of a sphere
-    material        (P,) int32; light (P,) int32: row of the light arrays or -1
+    surface         (P, 8) float32: unit normal and largest coordinate of a triangle; centre and radius of a sphere;
+    material and light as integers, all in one cache line
+    material        (P,) int32; light (P,) int32: row of the light arrays or -1; both columns of `surface`
     kind            (M,) int32; reflectance, specular (M, 3), exponent, ior (M,) float32: see SceneData
     light_corner, light_edge1, light_edge2  (L, 3) float32: triangle of a light; a sphere light has its centre and
-    edges 0 light_surface   (L, 4) float32: `surface` row of the light
+    edges 0 light_surface   (L, 4) float32: first columns of the light's `surface` row
     light_radiance  (L, 3) float32; light_cdf (L,) float32: choice by power; light_pdf (L,) float32: units^-2 (area)
     """
 

@@ -3,13 +3,13 @@
 A method knows neither clock nor rank; the same seed and pass index give the same samples anywhere.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 
 from causticmpi.config.records import RenderConfig
+from causticmpi.estimators.brute_force import trace_paths_brute
 from causticmpi.estimators.caustic_forecast import forecast_work
 from causticmpi.estimators.caustic_mixture import mixture_work
 from causticmpi.estimators.density_estimate import density_work
@@ -18,13 +18,15 @@ from causticmpi.estimators.iws_cf import trace_iws_cf
 from causticmpi.estimators.iws_mixture import trace_iws_mixture
 from causticmpi.estimators.iws_pm import trace_iws_pm
 from causticmpi.estimators.light_tracing import trace_light_paths
-from causticmpi.estimators.path_tracing import trace_paths, trace_paths_brute
+from causticmpi.estimators.path_layout import FIRST_SPLIT, SECOND_SPLIT, path_work
+from causticmpi.estimators.path_tracing import trace_paths
 from causticmpi.estimators.virtual_lights import empty_virtual_lights, trace_virtual_lights
 from causticmpi.kernels.embree import ray_buffer
 from causticmpi.kernels.traced_scene import TracedScene
 from causticmpi.preprocess.forecast import ForecastMaps
 from causticmpi.preprocess.guides import Guides, no_guides
 from causticmpi.preprocess.photon_map import PhotonMap
+from causticmpi.scene.data import MIRROR
 
 FORECASTING = ("iws+cf",)
 """Methods whose preprocess shoots photons and builds forecast maps."""
@@ -59,9 +61,35 @@ def whole_pass(method: Method, pass_index: int, pixels: np.ndarray, film: np.nda
 
 @dataclass
 class PathTracing:
-    """`pt` and `pt-brute`."""
+    """`pt`."""
 
-    kernel: Callable[..., int]
+    scene: TracedScene
+    camera: np.ndarray
+    seed: int
+    pass_index: int = 0
+    light_paths: int = 0
+
+    def __post_init__(self) -> None:
+        self.work, self.queues = path_work()
+        specular = bool((self.scene.kind >= MIRROR).any())
+        self.splits = np.array([FIRST_SPLIT, SECOND_SPLIT] if specular else [1, 1], np.int64)
+
+    def begin_pass(self, pass_index: int) -> int:
+        self.pass_index = pass_index
+        return 0
+
+    def trace_light(self, pass_index: int, first: int, last: int, film: np.ndarray) -> int:
+        return 0
+
+    def trace(self, pixels: np.ndarray, film: np.ndarray) -> int:
+        workspace = (self.work, self.queues, self.splits)
+        return trace_paths(self.scene, self.camera, *workspace, pixels, self.seed, self.pass_index, film)
+
+
+@dataclass
+class BruteForce:
+    """`pt-brute`."""
+
     scene: TracedScene
     camera: np.ndarray
     seed: int
@@ -79,7 +107,7 @@ class PathTracing:
         return 0
 
     def trace(self, pixels: np.ndarray, film: np.ndarray) -> int:
-        return self.kernel(self.scene, self.camera, self.rays, pixels, self.seed, self.pass_index, film)
+        return trace_paths_brute(self.scene, self.camera, self.rays, pixels, self.seed, self.pass_index, film)
 
 
 @dataclass(kw_only=True)
@@ -192,9 +220,9 @@ def make_method(
     """The configured method. maps: a photon map for `iws+pm`; extent: diagonal of the scene [scene units], for the
     automatic bound; guides: natural emission, and no light tracing, if there are none."""
     if config.method == "pt":
-        return PathTracing(trace_paths, scene, camera, config.seed)
+        return PathTracing(scene, camera, config.seed)
     if config.method == "pt-brute":
-        return PathTracing(trace_paths_brute, scene, camera, config.seed)
+        return BruteForce(scene, camera, config.seed)
     guides = guides or no_guides()
     common: dict[str, Any] = {
         "scene": scene,

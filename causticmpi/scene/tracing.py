@@ -9,6 +9,9 @@ from causticmpi.kernels.embree import EmbreeScene
 from causticmpi.kernels.traced_scene import TracedScene
 from causticmpi.scene.data import SceneData
 
+MATERIAL, LIGHT = 4, 5
+"""Columns of `surface` that hold integers: all that a hit asks for lies in one cache line."""
+
 
 def primitive_arrays(scene: SceneData) -> dict[str, np.ndarray]:
     """The derived arrays of `TracedScene`, by name: made once, shared by the ranks of a node.
@@ -20,14 +23,16 @@ def primitive_arrays(scene: SceneData) -> dict[str, np.ndarray]:
     normal = np.cross(edge1, edge2)
     double_area = np.linalg.norm(normal, axis=1)
     triangle_count, sphere_count = len(scene.triangles), len(scene.spheres)
-    surface = np.zeros((triangle_count + sphere_count, 4), np.float32)
+    surface = np.zeros((triangle_count + sphere_count, 8), np.float32)  # half a cache line for each primitive
     surface[:triangle_count, :3] = normal / double_area[:, None]
     surface[:triangle_count, 3] = np.abs(v).max(axis=(1, 2)) if triangle_count else 0
-    surface[triangle_count:] = scene.spheres
+    surface[triangle_count:, :4] = scene.spheres
     area = np.concatenate([double_area / 2, 4 * math.pi * scene.spheres[:, 3].astype(np.float64) ** 2])
     lights = np.flatnonzero(scene.primitive_emission >= 0)
-    light = np.full(len(surface), -1, np.int32)
-    light[lights] = np.arange(len(lights), dtype=np.int32)
+    words = surface.view(np.int32)
+    words[:, MATERIAL] = scene.primitive_material
+    words[:, LIGHT] = -1
+    words[lights, LIGHT] = np.arange(len(lights), dtype=np.int32)
     radiance = scene.emission[scene.primitive_emission[lights]].astype(np.float32).reshape(-1, 3)
     power = area[lights] * radiance.mean(axis=1)
     probability = power / power.sum() if len(lights) else power
@@ -37,11 +42,10 @@ def primitive_arrays(scene: SceneData) -> dict[str, np.ndarray]:
     corners[0, ~is_triangle] = scene.spheres[lights[~is_triangle] - triangle_count, :3]
     return {
         "surface": surface,
-        "light": light,
         "light_corner": corners[0],
         "light_edge1": corners[1],
         "light_edge2": corners[2],
-        "light_surface": surface[lights].reshape(-1, 4),
+        "light_surface": np.ascontiguousarray(surface[lights, :4]).reshape(-1, 4),
         "light_radiance": radiance,
         "light_cdf": _closed_cdf(probability),
         "light_pdf": (probability / area[lights]).astype(np.float32),
@@ -57,10 +61,12 @@ def _closed_cdf(probability: np.ndarray) -> np.ndarray:
 
 def traced_scene(scene: SceneData, embree: EmbreeScene, derived: dict[str, np.ndarray]) -> TracedScene:
     """Put the named tuple together; `derived` are the `primitive_arrays`."""
+    words = derived["surface"].view(np.int32)
     return TracedScene(
         handle=embree.handle,
         triangle_count=len(scene.triangles),
-        material=scene.primitive_material,
+        material=words[:, MATERIAL],
+        light=words[:, LIGHT],
         kind=scene.material_kind,
         reflectance=scene.material_reflectance,
         specular=scene.material_specular,
