@@ -20,7 +20,7 @@ os.environ.setdefault("OMPI_MCA_osc", "^ucx")
 
 from mpi4py import MPI  # noqa: E402
 
-from causticmpi.distributed.watchdog import TRACING, WRITING, Watchdog  # noqa: E402
+from causticmpi.distributed.watchdog import TRACING, WRITING, Watchdog, given_up_in_time  # noqa: E402
 from causticmpi.distributed.world import AgreedInputError, Arrays, World, require_summable  # noqa: E402
 from causticmpi.errors import InputError  # noqa: E402
 
@@ -161,7 +161,8 @@ class MpiWorld(World):
         from causticmpi.distributed.handing_out import HandingOut
 
         if self._handing_out is None:
-            self._handing_out = HandingOut(self)
+            with given_up_in_time(f"rank {self.rank} of {self.size} on {self._hosts[self.rank]}"):
+                self._handing_out = HandingOut(self)
         return self._handing_out.begin(count)
 
     def barrier(self) -> None:

@@ -6,10 +6,12 @@ so. A rank that is heard again goes on as if nothing had been; one that stays si
 so the run is ended, to be resumed from its last checkpoint.
 """
 
+import contextlib
 import os
 import sys
+import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,7 +22,9 @@ PATIENCE = 300.0
 TOLD_AFTER, INTERVAL = 0.2, 0.01
 """In parts of the patience: when silence is told, and from one message to the next."""
 TRACING, WRITING = 0, 1
-"""What a rank says of itself. A disk may take its time: who writes is never given up."""
+"""What a rank says of itself."""
+WRITERS = 6
+"""A disk may take its time: who writes may be silent for so many times the patience."""
 
 
 def patience() -> float:
@@ -64,7 +68,7 @@ class Watchdog:
         if silent > TOLD_AFTER * self.patience and not self.told:
             self.told = True
             self._say(f"has been {'writing' if self.heard[0] == WRITING else 'silent'} for {silent:.0f} s")
-        if silent > self.patience and self.heard[0] != WRITING:
+        if silent > self.patience * (WRITERS if self.heard[0] == WRITING else 1):
             self._say(
                 f"has been silent for {silent:.0f} s: ending all ranks; go on from the last checkpoint by --resume"
             )
@@ -86,3 +90,29 @@ class Watchdog:
     def _say(self, what: str) -> None:
         host = self.hosts[self.watched]
         print(f"causticmpi: rank {self.watched} of {self.comm.size} on {host} {what}", file=sys.stderr, flush=True)
+
+
+@contextlib.contextmanager
+def given_up_in_time(who: str) -> Iterator[None]:
+    """End this rank, and by that all, if the block outlasts the patience: for calls that MPI only has in blocking form.
+
+    The ring cannot speak in there, as the main thread waits in the library; a timer's thread can. who: this rank.
+    """
+
+    def give_up() -> None:
+        print(
+            f"causticmpi: {who} has waited {patience():.0f} s for a rank that does not answer: ending all ranks; go on "
+            "from the last checkpoint by --resume",
+            file=sys.stderr,
+            flush=True,
+        )
+        time.sleep(0.1)  # the launcher passes stderr on
+        os._exit(1)
+
+    timer = threading.Timer(patience(), give_up)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
