@@ -1,6 +1,7 @@
 """The program from outside: verbs, options, and what a render leaves behind, read by tools that never heard of us."""
 
 import json
+import re
 import stat
 import subprocess
 import sys
@@ -75,6 +76,7 @@ def test_check(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert "cornell.yaml: sound\n" in told.out
     assert "12 triangles, 2 spheres" in told.out and "100 x 640 pixels, method iws+cf, budget 240.0 s" in told.out
     assert "forecast from 200000 photons" in told.out and "MB per rank" in told.out
+    assert re.search(r"time     [\d.]+ s of preparation, then .* passes in the time on 1 rank, \d+ on 20\n", told.out)
 
 
 @pytest.mark.mpi

@@ -1,4 +1,4 @@
-"""`causticmpi check`: is the input sound, and what will a run need? Renders nothing, writes nothing."""
+"""`causticmpi check`: is the input sound, and what will a run need? Renders no picture, writes nothing."""
 
 import argparse
 
@@ -10,6 +10,8 @@ FILM_BYTES = 2 * 12 * 8 + 6 * 4
 """Per pixel and rank: finished and pending sums (float64), one pass (float32)."""
 PHOTON_BYTES = 3 * 40
 """Per photon and node: forecast maps, with overlaps of the clusters; a photon map takes less."""
+MANY = 20
+"""Ranks that the time is told for besides one: the paper's."""
 PROCESS_MB = 150
 """Interpreter, numba and compiled kernels of one rank."""
 
@@ -17,6 +19,7 @@ PROCESS_MB = 150
 def check(arguments: argparse.Namespace) -> int:
     """Validate all that `render` would read; print what it will need. Raises InputError."""
     from causticmpi.distributed.environment import launcher_rank
+    from causticmpi.distributed.estimate import estimate
     from causticmpi.render.foresight import of_scene
     from causticmpi.render.methods import BIASED, FORECASTING
     from causticmpi.scene.content import has_specular
@@ -53,5 +56,6 @@ def check(arguments: argparse.Namespace) -> int:
     print(f"caustics {caustics}")
     for warning in of_scene(config, scene):
         print(f"warning  {warning}")
-    print(f"memory   about {rank_mb:.0f} MB per rank and {node_mb:.0f} MB per node")
+    print(f"memory   about {rank_mb:.0f} MB per rank and {node_mb:.0f} MB per node", flush=True)
+    print(f"time     {estimate(config, scene).text(config, MANY)}")
     return 0

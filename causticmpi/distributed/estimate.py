@@ -1,0 +1,53 @@
+"""How long a run will take, by a pilot on one core of this machine: the preparation as it is, and a part of a pass."""
+
+from dataclasses import dataclass
+
+from causticmpi.config.records import RenderConfig
+from causticmpi.distributed.clock import Stopwatch
+from causticmpi.distributed.prepare import needs_forecast, prepare_forecast, share_scene
+from causticmpi.distributed.warmup import warm_up
+from causticmpi.distributed.world import SerialWorld
+from causticmpi.kernels.pixels import pixel_order
+from causticmpi.render.methods import make_method
+from causticmpi.render.rounds import Batches
+from causticmpi.scene.content import with_camera
+from causticmpi.scene.data import SceneData
+from causticmpi.scene.tracing import camera_array
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Seconds: preparing once, on one core; and per pass, of one core."""
+
+    preparing: float
+    per_pass: float
+
+    def text(self, config: RenderConfig, many: int) -> str:
+        """One line on what the budget means with one rank and with `many`, each on a core like this one."""
+        costs = f"{self.preparing:.2g} s of preparation, then {self.per_pass:.2g} s of a core for each pass:"
+        if config.budget.spp is not None:
+            one, more = (self.preparing + config.budget.spp * self.per_pass / ranks for ranks in (1, many))
+            return f"{costs} about {one:.2g} s in all on 1 rank, {more:.2g} s on {many}"
+        left = max(0.0, float(config.budget.time or 0) - self.preparing)
+        one, more = (max(1, int(left / self.per_pass * ranks)) for ranks in (1, many))
+        return f"{costs} about {one} passes in the time on 1 rank, {more} on {many}"
+
+
+def estimate(config: RenderConfig, scene: SceneData) -> Estimate:
+    """Measure; compiles the kernels first where they are not on disk."""
+    world = SerialWorld()
+    if config.camera is not None:
+        scene = with_camera(scene, config.camera)
+    warm_up(config, True, needs_forecast(config, scene))
+    watch = Stopwatch(from_now=True)
+    prepared = share_scene(world, scene, config.watertight)
+    forecasting = prepare_forecast(world, config, prepared, watch)
+    film = config.film
+    window = film.crop or (0, 0, film.width, film.height)
+    camera = camera_array(prepared.data.camera, film.width, film.height)
+    method = make_method(config, prepared.traced, camera, forecasting.maps, prepared.extent)
+    preparing = watch.elapsed()
+    slots = (window[2] - window[0]) * (window[3] - window[1])
+    per_pass = Batches(method, pixel_order(window, film.width), slots).pilot_seconds()
+    prepared.embree.close()
+    return Estimate(preparing, max(per_pass, 1e-9))
