@@ -13,7 +13,7 @@ import OpenImageIO
 import pytest
 from mpi_tools import ROOT, require_mpi, run_mpi
 from PIL import Image
-from program_tools import CORNELL, main, read_layers, read_report, render_here, rgb, run_program, tree, words
+from program_tools import CORNELL, PATIENCE, main, read_layers, read_report, render_here, rgb, run_program, tree, words
 
 from causticmpi import __version__
 from causticmpi.output.report import STAGES
@@ -82,7 +82,7 @@ def test_check(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.mpi
 def test_check_speaks_once_under_mpirun() -> None:
     require_mpi()
-    done = run_mpi(3, ["-m", "causticmpi", "check", str(CORNELL)], timeout=30)
+    done = run_mpi(3, ["-m", "causticmpi", "check", str(CORNELL)], timeout=PATIENCE)
     assert done.returncode == 0 and done.stdout.count("sound") == 1, done.stdout + done.stderr
     done = run_mpi(3, ["-m", "causticmpi", "check", str(CORNELL), "--set", "sed=1"], timeout=30)
     assert done.returncode == 2 and done.stderr.count("\n") == 1 and 'did you mean "seed"?' in done.stderr, done.stderr
