@@ -144,7 +144,7 @@ def test_the_exr_as_openimageio_reads_it(out: Path) -> None:
     report = read_report(out)
     config = json.loads(spec.getattribute("config"))
     assert config["film"]["width"] == 64 and config["forecast"]["photons"] == 2000 and config["seed"] == 7
-    assert config["budget"] == {"time": None, "spp": 6} and config["iws"]["paths"] == 8
+    assert config["budget"] == {"time": None, "spp": 6, "until": None} and config["iws"]["paths"] == 8
     for name in ("method", "passes", "seed", "ranks"):
         assert spec.getattribute(name) == header[name] == report[name], name
     assert spec.getattribute("biased") == "no" and spec.getattribute("causticmpiVersion") == __version__

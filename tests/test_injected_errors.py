@@ -132,8 +132,8 @@ def test_lights_lost_behind_mirrors(
 MIXTURE_ERRORS = {
     "no BRDF ray": [  # directions that no photon of the cluster came from are lost
         (
-            "cosine = vec.dot(n, direction)\n        if cosine <= ZERO:\n            continue",
-            "cosine = vec.dot(n, direction)\n        if cosine <= ZERO or j == 0:\n            continue",
+            "        if cosine <= ZERO:\n            continue\n        # Balance",
+            "        if cosine <= ZERO or j == 0:\n            continue\n        # Balance",
         ),
         (
             "bsdf.pdf(scene, material, n, wo, direction) + cm.coarse_pdf(maps, cluster, direction)\n        if fine",

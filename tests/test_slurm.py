@@ -22,7 +22,7 @@ from causticmpi.kernels.jit import cache_directory
 PASSES = 6000
 PICTURE = (*SMALL, "--method", "pt", "--set=output.interval=0.5", "--spp", str(PASSES))
 """Some seconds of work for two cores, and a picture to look for early on."""
-PATIENCE = 120
+PATIENCE = 300
 
 pytestmark = pytest.mark.mpi
 
@@ -100,7 +100,8 @@ def test_interrupted_cancelled_and_gone_on_with(lab: SlurmLab, submit: Callable[
 def test_bad_input_ends_a_job_at_once(lab: SlurmLab, submit: Callable[..., str], tmp_path: Path) -> None:
     job = submit(str(CORNELL), "--out", str(tmp_path / "out"), "--spp", "none")
     wait_for_state(lab, job, "FAILED", "COMPLETED", "CANCELLED")
-    assert lab.job(job)["JobState"] == "FAILED" and lab.job(job)["ExitCode"] == "2:0"
+    # 2 of the first rank to leave, or 143 where srun -K1 ended ranks that were still on their way out.
+    assert lab.job(job)["JobState"] == "FAILED" and lab.job(job)["ExitCode"] in ("2:0", "143:0")
     assert (tmp_path / "job.out").read_text().count("causticmpi: ") == 1
 
 
