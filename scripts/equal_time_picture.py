@@ -25,7 +25,22 @@ def rendered(config: str, method: str, arguments: argparse.Namespace, folder: Pa
     report = json.loads((out / "report.json").read_text())
     caption = f"{METHODS[method]}: {report['spp']:.0f} spp, relMSE {report['estimated_relmse']:.2g}"
     print(f"{config}: {caption}")
-    return Image.open(out / "image.png").convert("RGB").resize((SIDE, SIDE)), caption
+    image = Image.open(out / "image.png").convert("RGB")
+    return image.resize((SIDE, SIDE * image.height // image.width)), caption
+
+
+def pasted(rows: list[list[tuple[Image.Image, str]]]) -> Image.Image:
+    """One picture of all, a row for each config and a column for each method, captions above."""
+    heights = [BAR + row[0][0].height for row in rows]
+    sheet = Image.new("RGB", (SIDE * len(METHODS), sum(heights)), "white")
+    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=18)
+    y = 0
+    for row, height in zip(rows, heights, strict=True):
+        for column, (image, caption) in enumerate(row):
+            sheet.paste(image, (column * SIDE, y + BAR))
+            draw.text((column * SIDE + 8, y + 6), caption, fill="black", font=font)
+        y += height
+    return sheet
 
 
 def main() -> None:
@@ -36,16 +51,11 @@ def main() -> None:
     parser.add_argument("--time", default="60s")
     parser.add_argument("-j", dest="ranks", type=int, default=2)
     arguments = parser.parse_args()
-    sheet = Image.new("RGB", (SIDE * len(METHODS), (SIDE + BAR) * len(arguments.configs)), "white")
-    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=18)
     with tempfile.TemporaryDirectory() as folder:
-        for row, config in enumerate(arguments.configs):
-            for column, method in enumerate(METHODS):
-                image, caption = rendered(config, method, arguments, Path(folder))
-                x, y = column * SIDE, row * (SIDE + BAR)
-                sheet.paste(image, (x, y + BAR))
-                draw.text((x + 8, y + 6), caption, fill="black", font=font)
-    sheet.save(arguments.picture)
+        rows = [
+            [rendered(config, method, arguments, Path(folder)) for method in METHODS] for config in arguments.configs
+        ]
+    pasted(rows).save(arguments.picture)
 
 
 if __name__ == "__main__":

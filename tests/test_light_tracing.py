@@ -50,7 +50,7 @@ shapes:
     emission: 300
 """
 COMPARISONS = 3 + 2
-PASSES = 6000
+PASSES = 12000
 
 
 @numba.njit
