@@ -22,7 +22,9 @@ from causticmpi.kernels.jit import cache_directory
 PASSES = 6000
 PICTURE = (*SMALL, "--method", "pt", "--set=output.interval=0.5", "--spp", str(PASSES))
 """Some seconds of work for two cores, and a picture to look for early on."""
-PATIENCE = 300
+PATIENCE = 120
+PMI_MISREAD = "MPIDI_UCX_comm_addr_exchange"
+"""What MPICH says when SLURM 22.05 handed it a mangled message of another rank, before any of our code runs."""
 
 pytestmark = pytest.mark.mpi
 
@@ -66,6 +68,15 @@ def wait_for_state(lab: SlurmLab, job: str, *states: str) -> None:
 
 
 def test_interrupted_cancelled_and_gone_on_with(lab: SlurmLab, submit: Callable[..., str], tmp_path: Path) -> None:
+    try:
+        interrupt_cancel_and_go_on(lab, submit, tmp_path)
+    except AssertionError:
+        if PMI_MISREAD in (tmp_path / "job.out").read_text():
+            pytest.skip("SLURM's PMI misread the addresses of the ranks: a busy machine")
+        raise
+
+
+def interrupt_cancel_and_go_on(lab: SlurmLab, submit: Callable[..., str], tmp_path: Path) -> None:
     out, log = tmp_path / "out", tmp_path / "job.out"
     render_mpi(2, tmp_path / "alone", *PICTURE[len(SMALL) :])
 

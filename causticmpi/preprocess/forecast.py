@@ -134,8 +134,7 @@ def build_forecast(
 ) -> tuple[ForecastMaps, ClusterStatistics, dict[str, float]]:
     """Cluster, rank and index at least one caustic point. Also returns the seconds of `clustering` and of `trees`.
 
-    radius: of the gather in scene units; None: n neighbours at the density of the clusters that hold
-    most energy.
+    radius: of the gather in scene units; None: n neighbours at the average density of the ranked clusters.
     overlap: epsilon around a cluster in scene units; None: the radius, so that a gather near the border of a cluster
     finds what a tree over all photons would. clustering: a key of CODEBOOKS.
     Raises ValueError for photons that are not finite: a density made of them would be none.
@@ -155,8 +154,9 @@ def build_forecast(
     rank = energy_ranks(energy, area)
     wanted = np.flatnonzero(rank <= max_rank)
     if radius is None:
-        radius = _usual_radius(photons[wanted], area[wanted], energy[wanted], neighbours) or 1.0
-        radius = min(radius, float(np.linalg.norm(np.ptp(points.position, axis=0))) or 1.0)
+        density = photons[wanted].sum() / max(area[wanted].sum(), 1e-300)
+        extent = float(np.linalg.norm(np.ptp(points.position, axis=0)))
+        radius = min(math.sqrt(neighbours / (math.pi * density)), extent or 1.0) if density > 0 else 1.0
     overlap = radius if overlap is None else overlap
     clustered = time.perf_counter()
     centres = codebook.T.astype(np.float64)
@@ -216,17 +216,6 @@ def no_forecast(table: tuple[int, int] = (32, 16)) -> ForecastMaps:
         rows=table[1],
         neighbours=1,
     )
-
-
-def _usual_radius(photons: np.ndarray, area: np.ndarray, energy: np.ndarray, neighbours: int) -> float:
-    """Median over the energy of clusters of the radius that holds the neighbours: 0 without area.
-
-    Not from the mean density: faint clusters far apart would make the radius larger than the caustics that matter.
-    """
-    found = np.sqrt(neighbours * area / (math.pi * np.maximum(photons, 1)))
-    order = np.argsort(found)
-    running = np.cumsum(energy[order])
-    return float(found[order][np.searchsorted(running, running[-1] / 2)]) if len(order) else 0.0
 
 
 def _disc_areas(position: np.ndarray, cluster: np.ndarray, count: int, photons: np.ndarray) -> np.ndarray:
