@@ -122,8 +122,7 @@ def test_lights_lost_behind_mirrors(
     made = mutant(
         "estimators.virtual_lights",
         tmp_path,
-        ("direction, flux, _, rays_traced = particles.walk", "direction, flux, events, rays_traced = particles.walk"),
-        ("if vec.max3(bsdf.albedo(scene, material)) > ZERO:", "if events == 0:"),
+        ("if at.primitive >= 0 and vec.max3(", "if at.primitive >= 0 and at.events == 0 and vec.max3("),
     )
     monkeypatch.setattr(methods, "trace_virtual_lights", made.trace_virtual_lights)
     assert judge(scene, truth, sampling).p < CLEAR

@@ -9,7 +9,6 @@ from causticmpi.kernels import particles, rng, vec
 from causticmpi.kernels.camera import film_position
 from causticmpi.kernels.embree import visible
 from causticmpi.kernels.emission import emit
-from causticmpi.kernels.eye_path import facing
 from causticmpi.kernels.jit import inline, kernel
 from causticmpi.kernels.vec import INV_PI, ZERO
 
@@ -21,25 +20,25 @@ def owns(scene, material):
 
 
 @inline
-def _splat(scene, camera, rays, window, p, n, offset, material, flux, film):
-    """Draw the reflected flux [W] that arrived at p onto the pixel that sees p. Returns shadow rays traced.
+def _splat(scene, camera, rays, window, at, film):
+    """Draw the reflected flux of a particle's vertex onto the pixel that sees it. Returns shadow rays traced.
 
     A pixel is the mean of radiance over its area a = step^2 on the film at distance 1; the surface in it measures
-    a r^2 cos^3(camera) / cos(p), r the distance of the eye.
+    a r^2 cos^3(camera) / cos(at), r the distance of the eye.
     """
     eye = vec.row(camera, 0)
-    d = vec.sub(p, eye)
-    cosine = -vec.dot(n, d)  # times r
+    d = vec.sub(at.p, eye)
+    cosine = -vec.dot(at.n, d)  # times r
     if cosine <= ZERO:
         return 0
     x, y, depth = film_position(camera, d)
     if not (depth > ZERO and window[0] <= x < window[2] and window[1] <= y < window[3]):
         return 0
-    if not visible(scene.handle, rays, vec.along(p, n, offset), eye):
+    if not visible(scene.handle, rays, vec.along(at.p, at.n, at.offset), eye):
         return 1
     right = vec.row(camera, 2)
     weight = cosine / (depth * depth * depth * vec.dot(right, right)) * INV_PI
-    light = vec.scale(vec.mul(flux, vec.row(scene.reflectance, material)), weight)
+    light = vec.scale(vec.mul(at.flux, vec.row(scene.reflectance, at.material)), weight)
     slot = (int(y) - window[1]) * (window[2] - window[0]) + int(x) - window[0]
     for c in range(3):
         film[slot, c] += light[c]
@@ -63,19 +62,12 @@ def trace_light_paths(scene, camera, rays, guide, window, seed, pass_index, firs
         origin = vec.along(p, n, offset)
         bounce = 0
         while vec.max3(flux) > ZERO:
-            vertex = rng.subkey(key, bounce)
-            primitive, p, n, offset, direction, flux, events, rays_traced = particles.walk_to_surface(
-                scene, rays, origin, direction, flux, rng.subkey(vertex, 1)
+            u, v = particles.scatter_uniforms(key, bounce)
+            at, origin, direction, flux, more = particles.next_vertex(
+                scene, rays, origin, direction, flux, key, bounce, u, v
             )
-            traced += rays_traced
-            if primitive < 0:
-                break
-            n = facing(n, direction)
-            material = scene.material[primitive]
-            if events > 0 and owns(scene, material):
-                traced += _splat(scene, camera, rays, window, p, n, offset, material, flux, film)
-            u, v = rng.uniform2(vertex, particles.DIRECTION)
-            direction, flux = particles.scatter_particle(scene, material, n, vec.neg(direction), flux, vertex, u, v)
-            origin = vec.along(p, n, offset)
+            traced += more
+            if at.primitive >= 0 and at.events > 0 and owns(scene, at.material):
+                traced += _splat(scene, camera, rays, window, at, film)
             bounce += 1
     return traced

@@ -12,7 +12,6 @@ import numpy as np
 
 from causticmpi.kernels import bsdf, particles, rng, vec
 from causticmpi.kernels.emission import emit
-from causticmpi.kernels.eye_path import facing
 from causticmpi.kernels.jit import inline, kernel
 from causticmpi.kernels.vec import INV_PI, ONE, ZERO
 
@@ -103,27 +102,19 @@ def trace_virtual_lights(scene, rays, guide, seed, pass_index, paths, lights):
         origin = vec.along(p, n, offset)
         bounce = 0
         while vec.max3(flux) > ZERO:
-            vertex = rng.subkey(key, bounce)
-            primitive, p, n, offset, direction, flux, _, rays_traced = particles.walk_to_surface(
-                scene, rays, origin, direction, flux, rng.subkey(vertex, 1)
-            )
-            traced += rays_traced
-            if primitive < 0:
-                break
-            material = scene.material[primitive]
-            n = facing(n, direction)
-            arrival = vec.neg(direction)
-            if vec.max3(bsdf.albedo(scene, material)) > ZERO:
-                intensity = flux
-                peak = bsdf.peak(scene, material)
-                if scene.kind[material] == 0:
-                    intensity = vec.scale(vec.mul(flux, vec.row(scene.reflectance, material)), INV_PI)
-                _store(lights, count, p, n, offset, intensity, arrival, material, peak)
-                count += 1
-            u, v = rng.uniform2(vertex, particles.DIRECTION)
+            u, v = particles.scatter_uniforms(key, bounce)
             if bounce == 0:
                 u, v = _halton(11, path, s4), _halton(13, path, s5)
-            direction, flux = particles.scatter_particle(scene, material, n, arrival, flux, vertex, u, v)
-            origin = vec.along(p, n, offset)
+            at, origin, direction, flux, more = particles.next_vertex(
+                scene, rays, origin, direction, flux, key, bounce, u, v
+            )
+            traced += more
+            if at.primitive >= 0 and vec.max3(bsdf.albedo(scene, at.material)) > ZERO:
+                intensity = at.flux
+                peak = bsdf.peak(scene, at.material)
+                if scene.kind[at.material] == 0:
+                    intensity = vec.scale(vec.mul(at.flux, vec.row(scene.reflectance, at.material)), INV_PI)
+                _store(lights, count, at.p, at.n, at.offset, intensity, at.back, at.material, peak)
+                count += 1
             bounce += 1
     return count, traced

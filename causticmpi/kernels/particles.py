@@ -1,33 +1,48 @@
-"""Particles from the lights: the walk shared by virtual lights, forecast photons and photon maps.
+"""Particles from the lights: the walk shared by virtual lights, forecast photons, photon maps, light paths and guides.
 
 Their flux is not scaled at refraction (only radiance carried back along an eye path is; see `bsdf.scatter_specular`).
 """
 
-from causticmpi.kernels import bsdf, rng, vec, warp
+from typing import Any, NamedTuple
+
+from causticmpi.kernels import bsdf, rng, vec
 from causticmpi.kernels.embree import intersect
+from causticmpi.kernels.eye_path import facing
 from causticmpi.kernels.jit import inline
 from causticmpi.kernels.traced_scene import hit_point, is_specular, light_point, pick_light
-from causticmpi.kernels.vec import INFINITY, ONE, PI, ZERO
+from causticmpi.kernels.vec import BLACK, INFINITY, ONE, PI, ZERO
 
 EMIT_POINT, EMIT_DIRECTION = 0, 1
 """Dimensions of a particle's own key."""
 CHOICE, DIRECTION = 0, 1
 """Dimensions of its vertex keys."""
+PARTICLE_FLUX = PI
+"""Flux of a particle over the radiance / density of its emission."""
+
+
+class Vertex(NamedTuple):
+    """Where a particle meets a non-specular surface.
+
+    primitive: -1 if it is gone, and the rest without meaning; material; p, n (on the side it arrived at), offset
+    [scene units]; back: unit direction to where it came from; flux: what arrived [W]; events: specular ones just before
+    """
+
+    primitive: Any
+    material: Any
+    p: Any
+    n: Any
+    offset: Any
+    back: Any
+    flux: Any
+    events: Any
 
 
 @inline
-def emit(scene, u, v, w):
-    """A point on the lights, in proportion to power: light, point, front normal, offset, and radiance / density
-    [W/sr]."""
-    light, u = pick_light(scene, u)
+def emission_point(scene, u, v, w):
+    """A point on the lights, in proportion to power: point, front normal, offset, and radiance / density [W/sr]."""
+    light, _ = pick_light(scene, u)
     p, n, offset = light_point(scene, light, w, v)
-    return light, p, n, offset, vec.scale(vec.row(scene.light_radiance, light), ONE / scene.light_pdf[light])
-
-
-@inline
-def emission_direction(n, u, v):
-    """Direction with a density of cos/pi about the normal: the flux of the particle is then pi * radiance / density."""
-    return vec.to_world(warp.cosine_hemisphere(u, v), n)
+    return p, n, offset, vec.scale(vec.row(scene.light_radiance, light), ONE / scene.light_pdf[light])
 
 
 @inline
@@ -74,5 +89,28 @@ def scatter_particle(scene, material, n, wi, flux, key, u, v):
     return direction, vec.scale(vec.mul(flux, weight), ONE / survival)
 
 
-PARTICLE_FLUX = PI
-"""Flux of a particle over the radiance / density of its emission."""
+@inline
+def scatter_uniforms(key, bounce):
+    """The two uniforms that choose the direction in which particle `key` leaves its vertex number `bounce`."""
+    return rng.uniform2(rng.subkey(key, bounce), DIRECTION)
+
+
+@inline
+def next_vertex(scene, rays, origin, direction, flux, key, bounce, u, v):
+    """One step of the walk of particle `key`: fly to the next vertex, scatter there.
+
+    u, v: see `scatter_uniforms`. Returns the vertex; origin, direction and flux of the particle that leaves it, black
+    if it was absorbed or is gone; rays traced.
+    """
+    step = rng.subkey(key, bounce)
+    primitive, p, n, offset, direction, flux, events, traced = walk_to_surface(
+        scene, rays, origin, direction, flux, rng.subkey(step, 1)
+    )
+    n = facing(n, direction)
+    back = vec.neg(direction)
+    material = scene.material[max(primitive, 0)]
+    vertex = Vertex(primitive, material, p, n, offset, back, flux, events)
+    flux = BLACK
+    if primitive >= 0:
+        direction, flux = scatter_particle(scene, material, n, back, vertex.flux, step, u, v)
+    return vertex, vec.along(p, n, offset), direction, flux, traced

@@ -94,37 +94,32 @@ def _shoot(scene, camera, rays, guide, width, height, seed, first, last, bound, 
         origin = vec.along(p, n, offset)
         bounce = 0
         while vec.max3(flux) > ZERO:
-            vertex = rng.subkey(key, bounce)
-            primitive, p, n, offset, direction, flux, events, more = particles.walk_to_surface(
-                scene, rays, origin, direction, flux, rng.subkey(vertex, 1)
+            u, v = particles.scatter_uniforms(key, bounce)
+            at, origin, direction, flux, more = particles.next_vertex(
+                scene, rays, origin, direction, flux, key, bounce, u, v
             )
             traced += more
-            if primitive < 0:
+            bounce += 1
+            if at.primitive < 0:
                 break
             met += 1
-            material = scene.material[primitive]
-            n = facing(n, direction)
-            origin = vec.along(p, n, offset)
-            reflected = vec.luminance(vec.mul(flux, bsdf.albedo(scene, material))) * INV_PI
+            reflected = vec.luminance(vec.mul(at.flux, bsdf.albedo(scene, at.material))) * INV_PI
             d = vec.sub(to, origin)
             near = vec.dot(d, d)
-            cp, cq = vec.dot(n, d), -vec.dot(m, d)
+            cp, cq = vec.dot(at.n, d), -vec.dot(m, d)
             if cp > ZERO and cq > ZERO and near > ZERO:
                 geometry = min(bound, cp * cq / (near * near))
                 if visible(scene.handle, rays, origin, to):
                     lit += reflected * geometry * vec.luminance((view[6], view[7], view[8]))
                 traced += 1
-            if events > 0:
-                d = vec.sub(p, vec.row(camera, 0))
-                cosine = -vec.dot(n, d)
+            if at.events > 0:
+                d = vec.sub(at.p, vec.row(camera, 0))
+                cosine = -vec.dot(at.n, d)
                 x, y, depth = film_position(camera, d)
                 if cosine > ZERO and depth > ZERO and ZERO <= x < width and ZERO <= y < height:
                     traced += 1
                     if visible(scene.handle, rays, origin, vec.row(camera, 0)):
                         drawn += reflected * cosine / (depth * depth * depth)
-            u, v = rng.uniform2(vertex, particles.DIRECTION)
-            direction, flux = particles.scatter_particle(scene, material, n, vec.neg(direction), flux, vertex, u, v)
-            bounce += 1
         i, j = min(cells - 1, int(s * cells)), min(cells - 1, int(t * cells))
         squares[0, group, i, j] += np.float64(lit) * np.float64(lit)
         squares[1, group, i, j] += np.float64(drawn) * np.float64(drawn)

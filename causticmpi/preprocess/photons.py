@@ -10,7 +10,6 @@ import numpy as np
 
 from causticmpi.kernels import particles, rng, vec
 from causticmpi.kernels.aim import NATURAL, emission
-from causticmpi.kernels.eye_path import facing
 from causticmpi.kernels.jit import kernel
 from causticmpi.kernels.traced_scene import TracedScene
 from causticmpi.kernels.vec import ZERO
@@ -38,32 +37,25 @@ def _shoot(scene, rays, seed, first, last, aim, points, stored):
         key = rng.make_key(seed, rng.PHOTON, 0, particle)
         u, v = rng.uniform2(key, particles.EMIT_POINT)
         w, choice = rng.uniform2(key, 2)
-        _, p, n, offset, power = particles.emit(scene, u, v, w)
+        p, n, offset, power = particles.emission_point(scene, u, v, w)
         u, v = rng.uniform2(key, particles.EMIT_DIRECTION)
         direction, weight = emission(aim, p, n, choice, u, v)
         flux = vec.scale(power, weight)
         origin = vec.along(p, n, offset)
         bounce = 0
         while vec.max3(flux) > ZERO:
-            vertex = rng.subkey(key, bounce)
-            primitive, p, n, offset, direction, flux, events, rays_traced = particles.walk_to_surface(
-                scene, rays, origin, direction, flux, rng.subkey(vertex, 1)
+            u, v = particles.scatter_uniforms(key, bounce)
+            at, origin, direction, flux, more = particles.next_vertex(
+                scene, rays, origin, direction, flux, key, bounce, u, v
             )
-            traced += rays_traced
-            if primitive < 0:
-                break
-            n = facing(n, direction)
-            back = vec.neg(direction)
-            if events > 0 and stored < points.power.shape[0]:
+            traced += more
+            if at.primitive >= 0 and at.events > 0 and stored < points.power.shape[0]:
                 for c in range(3):
-                    points.position[stored, c] = p[c]
-                    points.normal[stored, c] = n[c]
-                    points.direction[stored, c] = back[c]
-                    points.power[stored, c] = flux[c]
+                    points.position[stored, c] = at.p[c]
+                    points.normal[stored, c] = at.n[c]
+                    points.direction[stored, c] = at.back[c]
+                    points.power[stored, c] = at.flux[c]
                 stored += 1
-            u, v = rng.uniform2(vertex, particles.DIRECTION)
-            direction, flux = particles.scatter_particle(scene, scene.material[primitive], n, back, flux, vertex, u, v)
-            origin = vec.along(p, n, offset)
             bounce += 1
         particle += 1
     return stored, particle, traced
