@@ -16,7 +16,9 @@ import numpy as np
 import pytest
 from rendering import make_config
 
-from causticmpi.distributed import job
+from causticmpi.distributed import budget_clock
+from causticmpi.distributed import run as run_module
+from causticmpi.distributed.budget_clock import BudgetClock
 from causticmpi.distributed.until import Until
 from causticmpi.distributed.world import SerialWorld
 from causticmpi.render import rounds
@@ -75,7 +77,8 @@ class Toy:
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     made = Clock()
     monkeypatch.setattr(rounds, "time", made)
-    monkeypatch.setattr(job, "time", made)
+    monkeypatch.setattr(budget_clock, "time", made)
+    monkeypatch.setattr(run_module, "time", made)
     return made
 
 
@@ -94,7 +97,7 @@ def bias(estimate: Callable[[np.ndarray], float], passes: int, runs: int = RUNS)
     return float(left.mean() - 1), error
 
 
-class SerialRun(job._Run):
+class SerialRun(run_module.Run):
     """The run's own loop and decisions, without a scene, files or a terminal."""
 
     def __init__(self, toy: Toy, budget: float, length: int = 1, until: Until | None = None) -> None:
@@ -107,6 +110,7 @@ class SerialRun(job._Run):
         self.batches = Batches(toy, PIXELS, 1)
         self.rounds = self.stopped_by = 0
         self.snapshots = self.state = None
+        self.clock = BudgetClock(None)
 
     def _say(self, stage: str) -> None: ...
 
@@ -151,10 +155,11 @@ class StoppedRun(SerialRun):
         self.state = SimpleNamespace(
             passes=before.film.passes,
             rounds=before.rounds,
-            tracing=before.tracing_kept,
-            writing=before.written_for,
+            tracing=before.clock.tracing_kept,
+            writing=before.clock.written_for,
             covers=lambda budget: False,
         )
+        self.clock = BudgetClock(self.state)
         self.film.merge(before.film)
         self.sums_before = None
 

@@ -13,7 +13,7 @@ import pytest
 from mpi_tools import require_mpi
 from program_tools import assert_same_layers, main, read_layers, read_report, render_here, render_mpi, tree, words
 
-from causticmpi.distributed import job
+from causticmpi.distributed import run as run_module
 from causticmpi.distributed.checkpoint import find_state
 from causticmpi.distributed.keeper import Keeper
 from causticmpi.output import checkpoint as files
@@ -88,7 +88,7 @@ def stop_after(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[int]]:
         return trace(self, shares, pending, stop)
 
     monkeypatch.setattr(Batches, "trace", traced)
-    monkeypatch.setattr(job, "equal_round", lambda *_: 2)
+    monkeypatch.setattr(run_module, "equal_round", lambda *_: 2)
     yield stops
 
 
