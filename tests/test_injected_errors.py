@@ -131,13 +131,10 @@ def test_lights_lost_behind_mirrors(
 MIXTURE_ERRORS = {
     "no BRDF ray": [  # directions that no photon of the cluster came from are lost
         (
-            "        if cosine <= ZERO:\n            continue\n        # Balance",
-            "        if cosine <= ZERO or j == 0:\n            continue\n        # Balance",
+            "        if j == 0:\n            direction",
+            "        if j == 0:\n            continue\n            direction",
         ),
-        (
-            "bsdf.pdf(scene, material, n, wo, direction) + cm.coarse_pdf(maps, cluster, direction)\n        if fine",
-            "cm.coarse_pdf(maps, cluster, direction)\n        if fine",
-        ),
+        ("density = brdf + cm.coarse_pdf", "density = cm.coarse_pdf"),
     ],
     "no fine density": [  # cones are sampled but the other samplers' weights know nothing of it
         ("density += np.float32(fine) * cm.fine_pdf(near, group, fine_total, direction)", "density += ZERO"),
@@ -161,11 +158,18 @@ def test_compensation_counts_caustics_again(
 
     Only mirrors within the ray's reach sqrt(cos / b) do harm: a large b would hide the error.
     """
-    made = mutant("estimators.iws_cf", tmp_path, ("if (j == 0 and steered) or not (caustics", "if not (caustics"))
+    mutant(
+        "estimators.full_radiance", tmp_path, ("if primitive < 0 or is_specular(", "if primitive < 0 and is_specular(")
+    )
+    made = mutant("estimators.iws_cf", tmp_path, FROM_MUTANT_RADIANCE)
     monkeypatch.setattr(methods, "trace_iws_cf", made.trace_iws_cf)
     assert judge(scene, truth).p < CLEAR
 
 
+FROM_MUTANT_RADIANCE = (
+    "from causticmpi.estimators import full_radiance as fr\n",
+    "import mutant_estimators_full_radiance as fr\n",
+)
 FROM_MUTANT = (
     "from causticmpi.estimators import caustic_forecast as cf\n",
     "import mutant_estimators_caustic_forecast as cf\n",

@@ -1,9 +1,10 @@
-"""What both ways of sampling caustics share: the vertices that wait for their full radiance, and how rays find them.
+"""What all IWS estimators share: the vertices that wait for their full radiance, and how rays find them.
 
 A vertex on the stack is a non-specular point p with its throughput to the pixel. Its full radiance is Le + L_d + L_c;
 the virtual lights of the first vertex are summed for a tile of 16 pixels at once, those of deeper ones for each vertex.
 """
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,7 +13,7 @@ from causticmpi.estimators import weak_singularities as ws
 from causticmpi.estimators.light_tracing import owns
 from causticmpi.kernels import bsdf, rng, vec
 from causticmpi.kernels.camera import lane_direction, see_packet
-from causticmpi.kernels.embree import LANES, lane_hit
+from causticmpi.kernels.embree import LANES, intersect, lane_hit
 from causticmpi.kernels.eye_path import emitted, facing, follow_chain
 from causticmpi.kernels.jit import inline
 from causticmpi.kernels.traced_scene import is_specular
@@ -25,12 +26,30 @@ STACK = 512
 DIFFUSIVE, CAUSTIC = 0, 1
 
 
+class Vertex(NamedTuple):
+    """A non-specular vertex that waits for its full radiance.
+
+    p: off its surface by `offset`; n: on the side of the eye; wo: unit direction back to the eye; throughput to the
+    pixel; material; depth: non-specular vertices before it; layer its light belongs to; key of its random numbers
+    """
+
+    p: Any
+    offset: Any
+    n: Any
+    wo: Any
+    throughput: Any
+    material: Any
+    depth: Any
+    layer: Any
+    key: Any
+
+
 class PassWork(NamedTuple):
     """Workspace of a pass: packet (see weak_singularities), per-lane and per-vertex records, the forecast's workspace.
 
-    vertex (STACK, 13) float32: p (off its surface), offset, n, wo, throughput; tag (STACK, 3) int64: material, depth,
-    layer; key (STACK,) uint64. lane (16, 5) float32: throughput, in use, and drawn (light tracing owns its caustics);
-    lane_material, lane_key (16,); le (16, 3): light of the tile's pixels so far.
+    The stack of `Vertex`: vertex (STACK, 13) float32: p, offset, n, wo, throughput; tag (STACK, 3) int64: material,
+    depth, layer; key (STACK,) uint64. lane (16, 5) float32: throughput, in use, and drawn (light tracing owns its
+    caustics); lane_material, lane_key (16,); le (16, 3): light of the tile's pixels so far.
     """
 
     packet: Any
@@ -128,15 +147,27 @@ def gather_lights(scene, work, lights, count, bound):
 
 
 @inline
-def push(work, top, p, offset, n, wo, throughput, material, depth, layer, key):
+def gather_few(scene, work, lights, count, few, at, bound):
+    """An unbiased few of the virtual lights at a vertex (weak_singularities), without its throughput.
+
+    Returns RGB radiance, shadow rays traced.
+    """
+    u, _ = rng.uniform2(at.key, FEW)
+    packet = work.packet
+    return ws.gather_few(scene, packet, lights, count, few, at.p, at.n, at.offset, at.wo, at.material, bound, u)
+
+
+@inline
+def push(work, top, at):
     """Put a vertex on the stack; returns the new top."""
     row = work.vertex[top]
-    row[0], row[1], row[2], row[3] = p[0], p[1], p[2], offset
-    row[4], row[5], row[6] = n
-    row[7], row[8], row[9] = wo
-    row[10], row[11], row[12] = throughput
-    work.tag[top, 0], work.tag[top, 1], work.tag[top, 2] = material, depth, layer
-    work.key[top] = key
+    row[0], row[1], row[2] = at.p
+    row[3] = at.offset
+    row[4], row[5], row[6] = at.n
+    row[7], row[8], row[9] = at.wo
+    row[10], row[11], row[12] = at.throughput
+    work.tag[top, 0], work.tag[top, 1], work.tag[top, 2] = at.material, at.depth, at.layer
+    work.key[top] = at.key
     return top + 1
 
 
@@ -146,9 +177,7 @@ def push_lane(work, lane):
     if work.lane[lane, 3] == ZERO:
         return 0
     packet = work.packet
-    return push(
-        work,
-        0,
+    first = Vertex(
         (packet[ws.POINT + lane], packet[ws.POINT + 16 + lane], packet[ws.POINT + 32 + lane]),
         packet[ws.EPSILON + lane],
         (packet[ws.NORMAL + lane], packet[ws.NORMAL + 16 + lane], packet[ws.NORMAL + 32 + lane]),
@@ -159,13 +188,14 @@ def push_lane(work, lane):
         DIFFUSIVE,
         rng.subkey(work.lane_key[lane], SAMPLE),
     )
+    return push(work, 0, first)
 
 
 @inline
 def pop(work, top):
-    """The vertex below `top`: p, offset, n, wo, throughput, material, depth, layer, key."""
+    """The vertex below `top`."""
     row = work.vertex[top - 1]
-    return (
+    return Vertex(
         (row[0], row[1], row[2]),
         row[3],
         (row[4], row[5], row[6]),
@@ -179,8 +209,8 @@ def pop(work, top):
 
 
 @inline
-def land(scene, work, top, p, n, wo, material, depth, layer, direction, weight, primitive, t, bound, survive, key):
-    """What a ray from vertex p brings home. (primitive, t) is its hit, `weight` its throughput f cos / density.
+def land(scene, work, top, at, direction, weight, primitive, t, bound, survive, key):
+    """What a ray from vertex `at` brings home. (primitive, t) is its hit; weight: the ray's throughput to the pixel.
 
     On D: the compensation, the radiance of that vertex times 1 - w (eq. w of weak_singularities). On S: a caustic, the
     whole radiance of the vertex at the end of the specular chain. The vertex is pushed if it lives through the
@@ -188,10 +218,10 @@ def land(scene, work, top, p, n, wo, material, depth, layer, direction, weight, 
     Returns new top, the layer its light belongs to, emitted light seen, rays traced, vertices lost to a full stack.
     """
     caustic = is_specular(scene.kind[scene.material[primitive]])
-    hit_layer = CAUSTIC if (depth == 0 and caustic) else layer
+    hit_layer = CAUSTIC if (at.depth == 0 and caustic) else at.layer
     distance = t
     primitive, q, m, offset, arrived, weight, traced = follow_chain(
-        scene, work.packet, p, direction, primitive, t, weight, rng.subkey(key, CHAIN)
+        scene, work.packet, at.p, direction, primitive, t, weight, rng.subkey(key, CHAIN)
     )
     if primitive < 0:
         return top, hit_layer, BLACK, traced, 0
@@ -199,8 +229,8 @@ def land(scene, work, top, p, n, wo, material, depth, layer, direction, weight, 
     m = facing(m, arrived)
     other = np.int64(scene.material[primitive])
     if not caustic:
-        geometry = vec.dot(n, direction) * -vec.dot(m, direction) / (distance * distance)
-        sharp = ws.sharpness(bsdf.evaluate(scene, material, n, wo, direction))
+        geometry = vec.dot(at.n, direction) * -vec.dot(m, direction) / (distance * distance)
+        sharp = ws.sharpness(bsdf.evaluate(scene, at.material, at.n, at.wo, direction))
         light = vec.scale(light, ONE - ws.bounded_share(geometry, sharp, bound))
         weight = vec.scale(weight, ONE - ws.bounded_share(geometry, sharp * bsdf.peak(scene, other), bound))
     survival = min(bsdf.SURVIVAL, vec.max3(vec.mul(weight, bsdf.albedo(scene, other))))
@@ -208,17 +238,39 @@ def land(scene, work, top, p, n, wo, material, depth, layer, direction, weight, 
         return top, hit_layer, light, traced, 0
     if top >= STACK:
         return top, hit_layer, light, traced, 1
-    top = push(
-        work,
-        top,
+    found = Vertex(
         vec.along(q, m, offset),
         offset,
         m,
         vec.neg(arrived),
         vec.scale(weight, ONE / survival),
         other,
-        depth + 1,
+        at.depth + 1,
         hit_layer,
         rng.subkey(key, SAMPLE),
     )
-    return top, hit_layer, light, traced, 0
+    return push(work, top, found), hit_layer, light, traced, 0
+
+
+@inline
+def compensate(scene, work, top, at, bound, reach):
+    """One BRDF ray from vertex `at` for what the bound takes from its virtual lights; what it hits on S counts nothing.
+
+    reach: sqrt(largest peak / bound); beyond sqrt(cos sharpness) of it G s <= b for any surface.
+    Returns new top, what it adds to the layer of the vertex, rays traced, vertices lost to a full stack.
+    """
+    key = rng.subkey(at.key, SAMPLE)
+    choice, survive = rng.uniform2(key, CHOICE)
+    u, v = rng.uniform2(key, DIRECTION)
+    direction, weight = bsdf.sample_weight(scene, at.material, at.n, at.wo, choice, u, v)
+    cosine = vec.dot(at.n, direction)
+    weight = vec.mul(at.throughput, weight)
+    if cosine <= ZERO or vec.max3(weight) <= ZERO:
+        return top, BLACK, 0, 0
+    sharp = ws.sharpness(bsdf.evaluate(scene, at.material, at.n, at.wo, direction))
+    far = math.sqrt(cosine * sharp) * reach
+    primitive, t = intersect(scene.handle, scene.triangle_count, work.packet, at.p, direction, far)
+    if primitive < 0 or is_specular(scene.kind[scene.material[primitive]]):
+        return top, BLACK, 1, 0
+    top, _, light, traced, lost = land(scene, work, top, at, direction, weight, primitive, t, bound, survive, key)
+    return top, light, 1 + traced, lost

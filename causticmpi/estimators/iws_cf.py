@@ -17,7 +17,6 @@ import numpy as np
 from causticmpi.estimators import caustic_forecast as cf
 from causticmpi.estimators import directional_tables as dt
 from causticmpi.estimators import full_radiance as fr
-from causticmpi.estimators import weak_singularities as ws
 from causticmpi.kernels import bsdf, rng, vec
 from causticmpi.kernels.embree import LANES, intersect
 from causticmpi.kernels.jit import inline, kernel
@@ -34,82 +33,93 @@ def _expand(scene, work, lights, count, maps, few, bound, compensation_reach, ca
     Returns the new top, the layer of the vertex, what it adds to that layer and what to L_c; rays traced, and vertices
     lost to a full stack.
     """
-    p, offset, n, wo, throughput, material, depth, layer, key = fr.pop(work, top)
+    at = fr.pop(work, top)
     top -= 1
     own, caustic = BLACK, BLACK
+    traced, samples, cluster = 0, 0, 0
+    if at.depth > 0:
+        light, traced = fr.gather_few(scene, work, lights, count, few, at, bound)
+        own = vec.mul(at.throughput, light)
+    if caustics and maps.codebook.shape[1] > 0:
+        cluster = cluster_of(maps, at.p, at.n, work.forecast.codeword_distance)
+        samples = cf.splitting(maps, maps.rank[cluster], at.depth)
+    if samples == 0 and (caustics or at.depth > 0):
+        top, hit_layer, light, more, lost = _send_one_for_both(scene, work, top, at, bound)
+    else:
+        hit_layer = at.layer
+        top, light, more, lost = fr.compensate(scene, work, top, at, bound, compensation_reach)
+    traced += more
+    if hit_layer == at.layer:
+        own = vec.add(own, light)
+    else:
+        caustic = light
+    if samples > 0:
+        top, own, caustic, more, missing = _forecast(scene, work, maps, cluster, samples, bound, top, at, own, caustic)
+        traced += more
+        lost += missing
+    return top, at.layer, own, caustic, traced, lost
+
+
+@inline
+def _send_one_for_both(scene, work, top, at, bound):
+    """B and C by one BRDF ray. Returns as `full_radiance.land`."""
+    key = rng.subkey(at.key, fr.SAMPLE)
+    choice, survive = rng.uniform2(key, fr.CHOICE)
+    u, v = rng.uniform2(key, fr.DIRECTION)
+    direction, weight = bsdf.sample_weight(scene, at.material, at.n, at.wo, choice, u, v)
+    weight = vec.mul(at.throughput, weight)
+    if vec.dot(at.n, direction) <= ZERO or vec.max3(weight) <= ZERO:
+        return top, at.layer, BLACK, 0, 0
+    primitive, t = intersect(scene.handle, scene.triangle_count, work.packet, at.p, direction, INFINITY)
+    if primitive < 0:
+        return top, at.layer, BLACK, 1, 0
+    top, layer, light, traced, lost = fr.land(
+        scene, work, top, at, direction, weight, primitive, t, bound, survive, key
+    )
+    return top, layer, light, 1 + traced, lost
+
+
+@inline
+def _forecast(scene, work, maps, cluster, samples, bound, top, at, own, caustic):
+    """C: S = samples directions from each sampler of the forecast; what they hit on D counts nothing, for it is B's.
+
+    own, caustic: light of the vertex so far, in its own layer and in L_c. Returns the new top, both with what is added;
+    rays traced, and vertices lost to a full stack.
+    """
     traced, lost = 0, 0
-    if depth > 0:
-        start, _ = rng.uniform2(key, fr.FEW)
-        light, shadows = ws.gather_few(scene, work.packet, lights, count, few, p, n, offset, wo, material, bound, start)
-        own = vec.mul(throughput, light)
-        traced += shadows
-    samples, occupied = 0, 0
-    total1, other = ZERO, ZERO
-    if maps.codebook.shape[1] > 0 and caustics:
-        cluster = cluster_of(maps, p, n, work.forecast.codeword_distance)
-        samples = cf.splitting(maps, maps.rank[cluster], depth)
-        if samples > 0:
-            k = cf.gather(maps, work.forecast, cluster, p)
-            occupied, total1, other = cf.prepare(scene, maps, work.forecast, k, n, wo, material)
-    steered = samples > 0
-    share = ONE / np.float32(max(samples, 1))
-    for j in range(1 + cf.parts(work.forecast) * samples):
-        ray_key = rng.subkey(key, fr.SAMPLE + j)
-        reach = INFINITY
-        choice, survive = rng.uniform2(ray_key, fr.CHOICE)
-        u, v = rng.uniform2(ray_key, fr.DIRECTION)
-        if j == 0:
-            direction, weight = bsdf.sample_weight(scene, material, n, wo, choice, u, v)
-            cosine = vec.dot(n, direction)
-            if cosine <= ZERO:
-                continue
-            if steered:  # the ray is the compensation alone: beyond this distance G s <= b for any surface
-                f = bsdf.evaluate(scene, material, n, wo, direction)
-                reach = math.sqrt(cosine * ws.sharpness(f)) * compensation_reach
-        else:
-            direction, density = cf.draw(
-                scene,
-                maps,
-                work.forecast,
-                (j - 1) // samples,
-                occupied,
-                total1,
-                other,
-                n,
-                wo,
-                material,
-                choice,
-                u,
-                v,
-            )
-            if density <= ZERO:
-                continue
-            f = bsdf.evaluate(scene, material, n, wo, direction)
-            weight = vec.scale(f, max(ZERO, vec.dot(n, direction)) * share / density)
-        weight = vec.mul(throughput, weight)
+    share = ONE / np.float32(samples)
+    near = work.forecast
+    k = cf.gather(maps, near, cluster, at.p)
+    occupied, total1, other = cf.prepare(scene, maps, near, k, at.n, at.wo, at.material)
+    for j in range(cf.parts(near) * samples):
+        key = rng.subkey(at.key, fr.SAMPLE + 1 + j)
+        choice, survive = rng.uniform2(key, fr.CHOICE)
+        u, v = rng.uniform2(key, fr.DIRECTION)
+        direction, density = cf.draw(
+            scene, maps, near, j // samples, occupied, total1, other, at.n, at.wo, at.material, choice, u, v
+        )
+        if density <= ZERO:
+            continue
+        f = bsdf.evaluate(scene, at.material, at.n, at.wo, direction)
+        weight = vec.scale(f, max(ZERO, vec.dot(at.n, direction)) * share / density)
+        weight = vec.mul(at.throughput, weight)
         if vec.max3(weight) <= ZERO:
             continue
-        primitive, t = intersect(scene.handle, scene.triangle_count, work.packet, p, direction, reach)
+        primitive, t = intersect(scene.handle, scene.triangle_count, work.packet, at.p, direction, INFINITY)
         traced += 1
-        if primitive < 0:
-            continue
-        on_specular = is_specular(scene.kind[scene.material[primitive]])
-        if on_specular:
-            if (j == 0 and steered) or not (caustics or depth > 0):
-                continue
-        elif j > 0:
+        if primitive < 0 or not is_specular(scene.kind[scene.material[primitive]]):
             continue
         top, hit_layer, light, more, missing = fr.land(
-            scene, work, top, p, n, wo, material, depth, layer, direction, weight, primitive, t, bound, survive, ray_key
+            scene, work, top, at, direction, weight, primitive, t, bound, survive, key
         )
         traced += more
         lost += missing
-        if hit_layer == layer:
+        if hit_layer == at.layer:
             own = vec.add(own, light)
         else:
             caustic = vec.add(caustic, light)
-    dt.clear_tables(work.forecast, occupied)
-    return top, layer, own, caustic, traced, lost
+    dt.clear_tables(near, occupied)
+    return top, own, caustic, traced, lost
 
 
 @kernel

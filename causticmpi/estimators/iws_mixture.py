@@ -20,7 +20,6 @@ from causticmpi.kernels import bsdf, rng, vec
 from causticmpi.kernels.embree import LANES, intersect
 from causticmpi.kernels.jit import inline, kernel
 from causticmpi.kernels.pixels import add_sample
-from causticmpi.kernels.traced_scene import is_specular
 from causticmpi.kernels.vec import BLACK, HALF, INFINITY, TWO, ZERO
 from causticmpi.preprocess.cells import cell_of
 from causticmpi.preprocess.forecast import cluster_of
@@ -56,28 +55,20 @@ def _gather_for_tile(maps, work):
 
 
 @inline
-def _compensate(scene, work, bound, reach, lane):
-    """The first vertex of a lane whose caustics light tracing draws: all that is left is its compensation ray.
-
-    reach: sqrt(largest peak / bound); beyond sqrt(cos) of it G s <= b for any surface. What lies on S is not looked at.
-    Returns the new top, what it adds to L_d, rays traced and vertices lost.
-    """
-    p, _, n, wo, throughput, material, _, layer, key = fr.pop(work, 1)
-    ray_key = rng.subkey(key, fr.SAMPLE)
-    choice, survive = rng.uniform2(ray_key, fr.CHOICE)
-    u, v = rng.uniform2(ray_key, fr.DIRECTION)
-    direction, weight = bsdf.sample_weight(scene, material, n, wo, choice, u, v)
-    cosine = vec.dot(n, direction)
-    weight = vec.mul(throughput, weight)
-    if cosine <= ZERO or vec.max3(weight) <= ZERO:
-        return 0, BLACK, 0, 0
-    primitive, t = intersect(scene.handle, scene.triangle_count, work.packet, p, direction, math.sqrt(cosine) * reach)
-    if primitive < 0 or is_specular(scene.kind[scene.material[primitive]]):
-        return 0, BLACK, 1, 0
-    top, _, light, more, lost = fr.land(
-        scene, work, 0, p, n, wo, material, 0, layer, direction, weight, primitive, t, bound, survive, ray_key
+def _send(scene, work, top, at, direction, density, bound, survive, key):
+    """A ray from vertex `at` by a mixture whose samplers, times how often each is asked, have this density in sum: the
+    balance heuristic [Veach 1997, (9.8)]. Returns as `full_radiance.land`."""
+    weight = vec.scale(bsdf.evaluate(scene, at.material, at.n, at.wo, direction), vec.dot(at.n, direction) / density)
+    weight = vec.mul(at.throughput, weight)
+    if vec.max3(weight) <= ZERO:
+        return top, at.layer, BLACK, 0, 0
+    primitive, t = intersect(scene.handle, scene.triangle_count, work.packet, at.p, direction, INFINITY)
+    if primitive < 0:
+        return top, at.layer, BLACK, 1, 0
+    top, layer, light, traced, lost = fr.land(
+        scene, work, top, at, direction, weight, primitive, t, bound, survive, key
     )
-    return top, light, 1 + more, lost
+    return top, layer, light, 1 + traced, lost
 
 
 @inline
@@ -89,46 +80,35 @@ def _expand_deep(scene, work, lights, count, maps, few, bound, top):
     one. Returns the new top, the layer of the vertex, what it adds to that layer; rays traced, and vertices lost to a
     full stack.
     """
-    p, offset, n, wo, throughput, material, depth, layer, key = fr.pop(work, top)
+    at = fr.pop(work, top)
     top -= 1
-    start, _ = rng.uniform2(key, fr.FEW)
-    light, traced = ws.gather_few(scene, work.packet, lights, count, few, p, n, offset, wo, material, bound, start)
-    own = vec.mul(throughput, light)
+    light, traced = fr.gather_few(scene, work, lights, count, few, at, bound)
+    own = vec.mul(at.throughput, light)
     lost = 0
-    cluster = np.int64(cluster_of(maps, p, n, work.forecast.codeword_distance))
-    cell = cell_of(maps, p, n)
+    cluster = np.int64(cluster_of(maps, at.p, at.n, work.forecast.codeword_distance))
+    cell = cell_of(maps, at.p, at.n)
     steered = DEEP_RAYS if cell >= 0 else 0
     for j in range(1 + steered):
-        ray_key = rng.subkey(key, fr.SAMPLE + j)
+        ray_key = rng.subkey(at.key, fr.SAMPLE + j)
         choice, survive = rng.uniform2(ray_key, fr.CHOICE)
         u, v = rng.uniform2(ray_key, fr.DIRECTION)
         if j > 0:
             direction = cm.sample_cell(maps, cell, choice, u, v)
         elif choice < HALF:
-            direction = bsdf.sample(scene, material, n, wo, TWO * choice, u, v)
+            direction = bsdf.sample(scene, at.material, at.n, at.wo, TWO * choice, u, v)
         else:
             direction = cm.sample_coarse(maps, cluster, min(ALMOST_ONE, TWO * (choice - HALF)), u, v)
-        cosine = vec.dot(n, direction)
-        if cosine <= ZERO:
+        if vec.dot(at.n, direction) <= ZERO:
             continue
-        density = HALF * (bsdf.pdf(scene, material, n, wo, direction) + cm.coarse_pdf(maps, cluster, direction))
+        brdf = bsdf.pdf(scene, at.material, at.n, at.wo, direction)
+        density = HALF * (brdf + cm.coarse_pdf(maps, cluster, direction))
         if steered > 0:
             density += np.float32(steered) * cm.cell_pdf(maps, cell, direction)
-        weight = vec.scale(bsdf.evaluate(scene, material, n, wo, direction), cosine / density)
-        weight = vec.mul(throughput, weight)
-        if vec.max3(weight) <= ZERO:
-            continue
-        primitive, t = intersect(scene.handle, scene.triangle_count, work.packet, p, direction, INFINITY)
-        traced += 1
-        if primitive < 0:
-            continue
-        top, _, light, more, missing = fr.land(
-            scene, work, top, p, n, wo, material, depth, layer, direction, weight, primitive, t, bound, survive, ray_key
-        )
+        top, _, light, more, missing = _send(scene, work, top, at, direction, density, bound, survive, ray_key)
         own = vec.add(own, light)
         traced += more
         lost += missing
-    return top, layer, own, traced, lost
+    return top, at.layer, own, traced, lost
 
 
 @inline
@@ -138,23 +118,23 @@ def _expand_first(scene, work, maps, bound, lane):
 
     Returns the new top, what it adds to L_d and to L_c; rays traced, and vertices lost to a full stack.
     """
-    p, _, n, wo, throughput, material, depth, layer, key = fr.pop(work, 1)
+    at = fr.pop(work, 1)
     top = 0
     own, caustic = BLACK, BLACK
     traced, lost = 0, 0
     near = work.forecast
     group = near.group[lane]
     cluster = near.cluster[group]
-    fine_total = cm.weigh_fine(scene, near, group, n, wo, material)
+    fine_total = cm.weigh_fine(scene, near, group, at.n, at.wo, at.material)
     fine = splitting(maps, maps.rank[cluster], 0) if fine_total > ZERO else 0
-    cell = cell_of(maps, p, n) if fine == 0 else np.int64(-1)
+    cell = cell_of(maps, at.p, at.n) if fine == 0 else np.int64(-1)
     steered = fine if fine > 0 else np.int64(cell >= 0)
     for j in range(steered + 2):
-        ray_key = rng.subkey(key, fr.SAMPLE + j)
+        ray_key = rng.subkey(at.key, fr.SAMPLE + j)
         choice, survive = rng.uniform2(ray_key, fr.CHOICE)
         u, v = rng.uniform2(ray_key, fr.DIRECTION)
         if j == 0:
-            direction = bsdf.sample(scene, material, n, wo, choice, u, v)
+            direction = bsdf.sample(scene, at.material, at.n, at.wo, choice, u, v)
         elif j == 1:
             direction = cm.sample_coarse(maps, cluster, choice, u, v)
         elif fine > 0:
@@ -162,29 +142,18 @@ def _expand_first(scene, work, maps, bound, lane):
             direction = cm.sample_fine(near, group, fine_total, min(ALMOST_ONE, stratum), u, v)
         else:
             direction = cm.sample_cell(maps, cell, choice, u, v)
-        cosine = vec.dot(n, direction)
-        if cosine <= ZERO:
+        if vec.dot(at.n, direction) <= ZERO:
             continue
-        # Balance heuristic: the sum of what all samplers would do, times how often each is asked [Veach 1997, (9.8)].
-        density = bsdf.pdf(scene, material, n, wo, direction) + cm.coarse_pdf(maps, cluster, direction)
+        brdf = bsdf.pdf(scene, at.material, at.n, at.wo, direction)
+        density = brdf + cm.coarse_pdf(maps, cluster, direction)
         if fine > 0:
             density += np.float32(fine) * cm.fine_pdf(near, group, fine_total, direction)
         elif cell >= 0:
             density += cm.cell_pdf(maps, cell, direction)
-        weight = vec.scale(bsdf.evaluate(scene, material, n, wo, direction), cosine / density)
-        weight = vec.mul(throughput, weight)
-        if vec.max3(weight) <= ZERO:
-            continue
-        primitive, t = intersect(scene.handle, scene.triangle_count, work.packet, p, direction, INFINITY)
-        traced += 1
-        if primitive < 0:
-            continue
-        top, hit_layer, light, more, missing = fr.land(
-            scene, work, top, p, n, wo, material, depth, layer, direction, weight, primitive, t, bound, survive, ray_key
-        )
+        top, hit_layer, light, more, missing = _send(scene, work, top, at, direction, density, bound, survive, ray_key)
         traced += more
         lost += missing
-        if hit_layer == layer:
+        if hit_layer == at.layer:
             own = vec.add(own, light)
         else:
             caustic = vec.add(caustic, light)
@@ -217,7 +186,7 @@ def trace_iws_mixture(
             top = fr.push_lane(work, i)
             if top > 0:
                 if work.lane[i, 4] > ZERO:
-                    top, own, rays, missing = _compensate(scene, work, bound, compensation_reach, i)
+                    top, own, rays, missing = fr.compensate(scene, work, 0, fr.pop(work, 1), bound, compensation_reach)
                 else:
                     top, own, caustic, rays, missing = _expand_first(scene, work, maps, bound, i)
                 diffusive = vec.add(diffusive, own)

@@ -14,13 +14,11 @@ import numpy as np
 
 from causticmpi.estimators import density_estimate as de
 from causticmpi.estimators import full_radiance as fr
-from causticmpi.estimators import weak_singularities as ws
-from causticmpi.kernels import bsdf, rng, vec
-from causticmpi.kernels.embree import LANES, intersect
+from causticmpi.kernels import vec
+from causticmpi.kernels.embree import LANES
 from causticmpi.kernels.jit import inline, kernel
 from causticmpi.kernels.pixels import add_sample
-from causticmpi.kernels.traced_scene import is_specular
-from causticmpi.kernels.vec import BLACK, ZERO
+from causticmpi.kernels.vec import BLACK
 
 
 @inline
@@ -30,33 +28,15 @@ def _expand(scene, work, lights, count, photons, few, bound, compensation_reach,
     L_d and, but for the first vertex, L_c. Returns the new top, the radiance and rays traced. A vertex has one ray: the
     stack never holds more than one.
     """
-    p, offset, n, wo, throughput, material, depth, layer, key = fr.pop(work, top)
-    top -= 1
+    at = fr.pop(work, top)
     radiance = BLACK
     traced = 0
-    if depth > 0:
-        start, _ = rng.uniform2(key, fr.FEW)
-        light, traced = ws.gather_few(scene, work.packet, lights, count, few, p, n, offset, wo, material, bound, start)
+    if at.depth > 0:
+        light, traced = fr.gather_few(scene, work, lights, count, few, at, bound)
         most = np.float32(photons.radius)
-        caustic, _ = de.estimate(scene, photons, work.forecast, p, n, wo, material, most)
-        radiance = vec.mul(throughput, vec.add(light, caustic))
-    ray_key = rng.subkey(key, fr.SAMPLE)
-    choice, survive = rng.uniform2(ray_key, fr.CHOICE)
-    u, v = rng.uniform2(ray_key, fr.DIRECTION)
-    direction, weight = bsdf.sample_weight(scene, material, n, wo, choice, u, v)
-    weight = vec.mul(throughput, weight)
-    cosine = vec.dot(n, direction)
-    if cosine <= ZERO or vec.max3(weight) <= ZERO:
-        return top, radiance, traced
-    # Beyond this distance G s <= b for any surface: nothing to compensate.
-    reach = math.sqrt(cosine * ws.sharpness(bsdf.evaluate(scene, material, n, wo, direction))) * compensation_reach
-    primitive, t = intersect(scene.handle, scene.triangle_count, work.packet, p, direction, reach)
-    traced += 1
-    if primitive < 0 or is_specular(scene.kind[scene.material[primitive]]):
-        return top, radiance, traced
-    top, _, light, more, _ = fr.land(
-        scene, work, top, p, n, wo, material, depth, layer, direction, weight, primitive, t, bound, survive, ray_key
-    )
+        caustic, _ = de.estimate(scene, photons, work.forecast, at.p, at.n, at.wo, at.material, most)
+        radiance = vec.mul(at.throughput, vec.add(light, caustic))
+    top, light, more, _ = fr.compensate(scene, work, top - 1, at, bound, compensation_reach)
     return top, vec.add(radiance, light), traced + more
 
 
