@@ -159,7 +159,9 @@ def test_compensation_counts_caustics_again(
     Only mirrors within the ray's reach sqrt(cos / b) do harm: a large b would hide the error.
     """
     mutant(
-        "estimators.full_radiance", tmp_path, ("if primitive < 0 or is_specular(", "if primitive < 0 and is_specular(")
+        "estimators.full_radiance",
+        tmp_path,
+        ("if primitive < 0 or is_specular(scene.kind[scene.material[primitive]]):", "if primitive < 0:"),
     )
     made = mutant("estimators.iws_cf", tmp_path, FROM_MUTANT_RADIANCE)
     monkeypatch.setattr(methods, "trace_iws_cf", made.trace_iws_cf)
