@@ -147,6 +147,7 @@ def naive_weights(material: int, maps: ForecastMaps) -> tuple[np.ndarray, np.nda
             index = naive.bin_of(maps.columns, maps.rows, np.array([wi @ t, wi @ b, wi @ n]))
             weight = power * (wi @ n) * (naive.brdf(kd, ks, exponent, n, wo, wi[None])[0] @ luminance)
             one[index] += np.float32(weight)  # the far tail of a lobe underflows to "not occupied"
+    one[one > 0] = np.maximum(one[one > 0], dt.LEAST * one.sum())
     for index, wi in enumerate(every_bin(maps.columns, maps.rows)):
         floor = dt.FLOOR * ((kd + ks) @ luminance) / np.pi
         f = naive.brdf(kd, ks, exponent, n, wo, wi[None])[0] @ luminance
@@ -183,6 +184,19 @@ def test_tables(case: tuple[int, int, int, int, int, float]) -> None:
             expected = weights[table] / weights[table].sum() * columns * rows / (2 * np.pi)
             index = filled.density[:, 2].astype(int)
             np.testing.assert_allclose(filled.density[:, table], expected[index], rtol=2e-3, atol=1e-6)
+
+
+@pytest.mark.statistical
+@pytest.mark.parametrize("power", [1e-3, 1e-9, 1e-30])
+def test_a_faint_bin_is_drawn_as_often_as_it_says(power: float) -> None:
+    """One photon outshines the others, but table 2 leaves out their bins as well."""
+    count, samples = 9, 400_000
+    direction = every_bin(4, 4)[4 : 4 + count]
+    filled = Filled(DIFFUSE, photon_maps(4, 4, direction, np.array([1.0, *[power] * (count - 1)])), count, samples)
+    assert filled.occupied == count
+    expected = samples * filled.density[:, 0] * filled.angle
+    assert p_value(filled.counts(0), expected) > sidak(3)
+    assert expected[expected > 0].min() > 5  # enough for the test to see each bin
 
 
 @pytest.mark.parametrize("material", [DIFFUSE, SHARP])

@@ -20,6 +20,9 @@ from causticmpi.kernels.vec import HALF, INV_PI, ONE, TWO_PI, ZERO
 FLOOR = np.float32(0.05)
 """Table 2 counts at least this share of the albedo as if it were Lambertian: the edge of a lobe inside a bin whose
 centre is dark stays within reach."""
+LEAST = np.float32(2.0**-12)
+"""An occupied bin of table 1 weighs at least this share of all: the uniforms have steps of 2^-24, and a bin less likely
+than that would never be drawn although table 2 leaves it out."""
 
 
 @inline
@@ -51,7 +54,10 @@ def bin_density(maps):
 
 @inline
 def fill_table1(scene, maps, work, k, n, wo, material):
-    """Weigh the bins of k gathered photons. Returns (occupied bins, their sum); the sum is 0 where none counts."""
+    """Weigh the bins of k gathered photons, each with LEAST of all at least.
+
+    Returns (occupied bins, their sum); the sum is 0 where none counts.
+    """
     occupied = 0
     for i in range(k):
         photon = work.row[i]
@@ -67,9 +73,14 @@ def fill_table1(scene, maps, work, k, n, wo, material):
             work.bins[occupied] = index
             occupied += 1
         work.weight[index] += w
+    least = ZERO
+    for i in range(occupied):
+        least += work.weight[work.bins[i]] * LEAST
     total = ZERO
     for i in range(occupied):
-        total += work.weight[work.bins[i]]
+        index = work.bins[i]
+        work.weight[index] = max(work.weight[index], least)
+        total += work.weight[index]
         work.cdf[i] = total
     return occupied, total
 
