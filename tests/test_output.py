@@ -207,16 +207,16 @@ def test_png_as_pillow_reads_it(tmp_path):
     rgb[0, 0] = [0.25, 0.0, 2.0]
     rgb[1, 2] = [np.nan, 0.5, 0.5]
     rgb[0, 1] = [np.inf, 0.5, 0.5]
-    write_png(tmp_path / "a.png", rgb, exposure_stops=1.0)
+    write_png(tmp_path / "a.png", rgb)
     with Image.open(tmp_path / "a.png") as image:
         assert isinstance(image, PngImagePlugin.PngImageFile)
         pixels = np.asarray(image)
         assert (image.mode, image.size) == ("RGB", (3, 2))
         assert image.text["Software"].startswith("causticmpi ")
-        assert image.text["Exposure"].startswith("+1 stops (radiance x 2,")
+        assert image.text["Exposure"].startswith("+0 stops (radiance x 1,")
         assert image.text["NonfinitePixels"].startswith("2 ")
         assert image.info["srgb"] == 0
-    assert pixels[0, 0].tolist() == [188, 0, 255]  # 0.25 one stop up is 0.5
+    assert pixels[0, 0].tolist() == [137, 0, 255]
     assert pixels[1, 2].tolist() == pixels[0, 1].tolist() == [255, 0, 255]
     assert pixels[1, 0].tolist() == [0, 0, 0]
 

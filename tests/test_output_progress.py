@@ -55,13 +55,13 @@ def test_progress_lines_come_at_widening_intervals(environment):
 
 def test_progress_tells_the_end_of_a_short_run(environment):
     stream = io.StringIO()
-    progress = Progress(None, 8, stream, start_spp=4)
-    progress.update(0.5, 4, 4, 0.0, None)
+    progress = Progress(None, 8, stream)
+    progress.update(0.5, 1, 1, 0.0, None)
     assert stream.getvalue() == ""
-    progress.update(3.0, 6, 6, 2e9, None)
+    progress.update(3.0, 4, 4, 2e9, None)
     progress.close()
     progress.close()
-    wanted = "starting: 0:03, 0:03 left, 6 of 8 spp, 6 passes, 2 Grays/s, estimated relMSE unknown"
+    wanted = "starting: 0:03, 0:03 left, 4 of 8 spp, 4 passes, 2 Grays/s, estimated relMSE unknown"
     assert stream.getvalue() == f"causticmpi: {wanted}\n"
 
 

@@ -80,12 +80,6 @@ def _with_state(given: Input) -> Input:
             directory,
         )
     require_same_run(state, config, scene.content_hash, directory)
-    if config.budget.until is not None:
-        raise InputError(
-            "its checkpoint has not the halves that budget.until decides by: extend the run by --time or --spp, or "
-            "start anew with --force",
-            directory,
-        )
     return replace(given, state=state, sums=arrays["sums"])
 
 

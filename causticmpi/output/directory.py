@@ -104,7 +104,6 @@ def write_run(
     picture: Picture,
     report: Mapping[str, Any],
     attributes: Mapping[str, AttributeValue],
-    exposure_stops: float = 0.0,
 ) -> float:
     """Write image.exr, image.png and report.json, each whole; the report last, so it never tells of missing pictures.
 
@@ -113,7 +112,7 @@ def write_run(
     """
     directory, start = Path(directory), time.perf_counter()
     write_whole(directory / EXR, lambda path: write_exr(path, picture, attributes))
-    write_whole(directory / PNG, lambda path: write_png(path, picture.rgb, exposure_stops, bool(report.get("biased"))))
+    write_whole(directory / PNG, lambda path: write_png(path, picture.rgb, bool(report.get("biased"))))
     spent = time.perf_counter() - start
     seconds = dict(report["seconds"])
     for stage in ("write", "total"):

@@ -17,7 +17,6 @@ class Progress:
 
     stream: where to write, standard error unless given; a terminal gets a bar (drawn by `rich`, imported only then),
     anything else plain lines, about one per 10 s in the first minute, then one per minute.
-    start_spp: samples per pixel that a resumed run began with, if `update` counts them but not their time.
 
     Telling is a courtesy: a stream that breaks ends it, never the render. Not for several threads.
     """
@@ -27,9 +26,8 @@ class Progress:
         total_seconds: float | None,
         total_spp: int | None,
         stream: TextIO | None = None,
-        start_spp: float = 0.0,
     ) -> None:
-        self._total_seconds, self._total_spp, self._start_spp = total_seconds, total_spp, start_spp
+        self._total_seconds, self._total_spp = total_seconds, total_spp
         self._stream = stream if stream is not None else sys.stderr
         self._name = "starting"
         self._seen: set[str] = set()
@@ -120,8 +118,8 @@ class Progress:
         lefts = []
         if self._total_seconds is not None:
             lefts.append(self._total_seconds - elapsed)
-        if self._total_spp is not None and spp > self._start_spp:
-            lefts.append((self._total_spp - spp) * elapsed / (spp - self._start_spp))
+        if self._total_spp is not None and spp > 0:
+            lefts.append((self._total_spp - spp) * elapsed / spp)
         return max(min(lefts), 0.0) if lefts else None
 
     def _tell_pending(self) -> None:
