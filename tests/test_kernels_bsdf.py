@@ -9,8 +9,8 @@ import pytest
 from chi_square import SAMPLES, SphereCells, heights_about_lobe, p_value, sidak
 
 from causticmpi.kernels import bsdf, vec
+from causticmpi.kernels.material_kinds import DIELECTRIC, DIFFUSE, MIRROR, PHONG
 from causticmpi.kernels.traced_scene import TracedScene
-from causticmpi.scene.data import DIELECTRIC, DIFFUSE, MIRROR, PHONG
 
 MATERIALS = [
     # kind, reflectance, specular, exponent, ior

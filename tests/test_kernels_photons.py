@@ -10,8 +10,8 @@ from test_embree import hits
 
 from causticmpi.distributed.prepare import PreparedScene
 from causticmpi.kernels.embree import ray_buffer
+from causticmpi.kernels.material_kinds import MIRROR
 from causticmpi.preprocess.photons import MOST_PARTICLES_PER_PHOTON, CausticPoints, shoot_photons
-from causticmpi.scene.data import MIRROR
 from causticmpi.scene.load import load_scene
 
 SIZE, HALF = 1e3, 0.05

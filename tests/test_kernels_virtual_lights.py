@@ -15,7 +15,7 @@ from causticmpi.estimators.virtual_lights import VirtualLights, empty_virtual_li
 from causticmpi.kernels import vec
 from causticmpi.kernels.embree import ray_buffer
 from causticmpi.kernels.emission import natural_emission
-from causticmpi.scene.data import PHONG
+from causticmpi.kernels.material_kinds import PHONG
 
 PATHS, BOUND = 40, 0.8
 SCENE = """\

@@ -13,8 +13,8 @@ from causticmpi.estimators import weak_singularities as ws
 from causticmpi.estimators.full_radiance import PassWork, pass_work
 from causticmpi.estimators.iws_mixture import _gather_for_tile
 from causticmpi.kernels import vec
+from causticmpi.kernels.material_kinds import PHONG
 from causticmpi.preprocess.forecast import ForecastMaps, no_forecast
-from causticmpi.scene.data import PHONG
 
 NORMAL = naive.unit([-0.4, 0.2, 0.6]).astype(np.float32)
 OUT = naive.unit([0.1, 0.9, 0.8]).astype(np.float32)

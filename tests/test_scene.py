@@ -11,8 +11,9 @@ import trimesh
 
 from causticmpi.config.records import Camera
 from causticmpi.errors import InputError
+from causticmpi.kernels.material_kinds import DIELECTRIC, DIFFUSE, MIRROR, PHONG
 from causticmpi.scene.content import content_hash, has_specular, with_camera
-from causticmpi.scene.data import DIELECTRIC, DIFFUSE, MIRROR, PHONG, SceneData
+from causticmpi.scene.data import SceneData
 from causticmpi.scene.load import load_scene
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -18,6 +18,7 @@ from causticmpi.kernels import bsdf, vec
 from causticmpi.kernels.embree import LANES
 from causticmpi.kernels.jit import inline
 from causticmpi.kernels.kdtree import MAX_DEPTH
+from causticmpi.kernels.material_kinds import DIFFUSE
 from causticmpi.kernels.vec import HALF, INV_TWO_PI, ONE, TWO, TWO_PI, ZERO
 from causticmpi.kernels.warp import pick
 from causticmpi.preprocess.cells import KEPT
@@ -85,7 +86,7 @@ def gather_group(maps, work, group, p, n):
 def weigh_fine(scene, work, group, n, wo, material):
     """Weigh a group's photons by power, BRDF and cosine at one vertex. Returns their sum, 0 where none counts."""
     total = ZERO
-    lambert = scene.kind[material] == 0
+    lambert = scene.kind[material] == DIFFUSE
     for i in range(work.count[group]):
         wi = (work.photons[group, 0, i], work.photons[group, 1, i], work.photons[group, 2, i])
         w = max(ZERO, vec.dot(n, wi)) * work.photons[group, 3, i]

@@ -18,6 +18,7 @@ from causticmpi.kernels import bsdf, vec
 from causticmpi.kernels.embree import LANES
 from causticmpi.kernels.jit import inline
 from causticmpi.kernels.kdtree import MAX_DEPTH, nearest
+from causticmpi.kernels.material_kinds import DIFFUSE
 from causticmpi.kernels.vec import BLACK, INV_PI, ONE, TWO, ZERO
 from causticmpi.preprocess.photon_map import PhotonMap
 
@@ -76,7 +77,7 @@ def estimate(scene, photons, work, p, n, wo, material, reach):
         return BLACK, radius
     total = BLACK
     inverse = ONE / (radius * radius)
-    lambert = scene.kind[material] == 0
+    lambert = scene.kind[material] == DIFFUSE
     for i in range(found):
         photon = work.row[i]
         wi = vec.row(photons.direction, photon)

@@ -15,6 +15,7 @@ import numpy as np
 
 from causticmpi.kernels import bsdf, vec
 from causticmpi.kernels.jit import inline
+from causticmpi.kernels.material_kinds import DIFFUSE
 from causticmpi.kernels.vec import HALF, INV_PI, ONE, TWO_PI, ZERO
 
 FLOOR = np.float32(0.05)
@@ -92,7 +93,7 @@ def fill_table2(scene, maps, work, occupied, n, wo, material):
     Lambert needs no BRDF: all bins of a row weigh the same, and only the occupied ones are looked at.
     """
     total = ZERO
-    lambert = scene.kind[material] == 0
+    lambert = scene.kind[material] == DIFFUSE
     floor = FLOOR * vec.luminance(bsdf.albedo(scene, material)) * INV_PI
     if lambert:
         for r in range(maps.rows):
@@ -147,7 +148,7 @@ def table1_pdf(maps, work, total, local):
 @inline
 def representative(scene, maps, work, material, index):
     """Weight of a bin of table 2: cosine, for gloss times BRDF and floor, of the bin's centre."""
-    if scene.kind[material] == 0:
+    if scene.kind[material] == DIFFUSE:
         return (np.float32(index // maps.columns) + HALF) / np.float32(maps.rows)
     return work.fill[index]
 

@@ -16,6 +16,7 @@ from causticmpi.kernels.camera import lane_direction, see_packet
 from causticmpi.kernels.embree import LANES, intersect, lane_hit
 from causticmpi.kernels.eye_path import emitted, facing, follow_chain
 from causticmpi.kernels.jit import inline
+from causticmpi.kernels.material_kinds import DIFFUSE
 from causticmpi.kernels.traced_scene import is_specular
 from causticmpi.kernels.vec import BLACK, INV_PI, ONE, WHITE, ZERO
 
@@ -133,7 +134,7 @@ def gather_lights(scene, work, lights, count, bound):
     packet = work.packet
     glossy = False
     for i in range(LANES):
-        if work.lane[i, 3] > ZERO and scene.kind[work.lane_material[i]] != 0:
+        if work.lane[i, 3] > ZERO and scene.kind[work.lane_material[i]] != DIFFUSE:
             glossy = True
     traced = ws.gather_tile(scene, packet, lights, count, work.lane_material, glossy, bound)
     for i in range(LANES):

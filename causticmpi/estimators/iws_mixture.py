@@ -20,11 +20,10 @@ from causticmpi.kernels import bsdf, rng, vec
 from causticmpi.kernels.embree import LANES, intersect
 from causticmpi.kernels.jit import inline, kernel
 from causticmpi.kernels.pixels import add_sample
-from causticmpi.kernels.vec import BLACK, HALF, INFINITY, TWO, ZERO
+from causticmpi.kernels.vec import ALMOST_ONE, BLACK, HALF, INFINITY, TWO, ZERO
 from causticmpi.preprocess.cells import cell_of
 from causticmpi.preprocess.forecast import cluster_of
 
-ALMOST_ONE = np.float32(0.99999994)
 DEEP_RAYS = 2
 """Rays of a deeper vertex by the directions of its cell."""
 

@@ -10,13 +10,14 @@ from causticmpi.kernels.camera import film_position
 from causticmpi.kernels.embree import visible
 from causticmpi.kernels.emission import emit
 from causticmpi.kernels.jit import inline, kernel
+from causticmpi.kernels.material_kinds import DIFFUSE
 from causticmpi.kernels.vec import INV_PI, ZERO
 
 
 @inline
 def owns(scene, material):
     """Whether splats draw the caustics on a directly seen surface of this material: on gloss they would spike."""
-    return scene.kind[material] == 0
+    return scene.kind[material] == DIFFUSE
 
 
 @inline

@@ -11,8 +11,9 @@ from causticmpi.kernels import bsdf, rng, vec, warp
 from causticmpi.kernels.embree import LANES, RAY16, TFAR, VALID, rtc_occluded16
 from causticmpi.kernels.eye_path import emitted, facing
 from causticmpi.kernels.jit import inline
+from causticmpi.kernels.material_kinds import PHONG
 from causticmpi.kernels.traced_scene import OFFSET, is_specular, pick_light
-from causticmpi.kernels.vec import BLACK, INFINITY, INV_PI, ONE, ZERO
+from causticmpi.kernels.vec import ALMOST_ONE, BLACK, INFINITY, INV_PI, ONE, ZERO
 
 WORTH = np.float32(0.25)
 """Roulette brings the throughput of a path that falls below this back to it."""
@@ -20,7 +21,6 @@ SURE_DEPTH = 3
 """From this many non-specular vertices on no path survives for certain, so that white rooms end too."""
 _LATTICE = (np.float32(0.8191725134), np.float32(0.6710436067), np.float32(0.5497004779))
 """Steps of the additive recurrence R3 [Roberts 2018]: the rays of a vertex share one random start."""
-_PHONG = 1
 
 
 @inline
@@ -54,7 +54,7 @@ def meet(scene, work, lanes, first_split, second_split):
             throughput = vec.scale(throughput, ONE / survival)
             put3(work, at.THROUGHPUT, i, throughput)
         work[at.ALIVE + i] = ONE
-        glossy += scene.kind[material] == _PHONG
+        glossy += scene.kind[material] == PHONG
         put3(work, at.REFLECTANCE, i, vec.row(scene.reflectance, material))
         put3(work, at.NORMAL, i, facing(n, direction))
         split = first_split if depth == 0 else (second_split if depth == 1 else 1)
@@ -126,7 +126,7 @@ def direct_light_on_gloss(scene, work):
     words = work.view(np.int32)
     for i in range(LANES):
         material = words[at.MATERIAL + i]
-        if work[RAY16 + 16 * TFAR + i] < ZERO or scene.kind[material] != _PHONG:
+        if work[RAY16 + 16 * TFAR + i] < ZERO or scene.kind[material] != PHONG:
             continue
         n, wi, wo = get3(work, at.NORMAL, i), get3(work, at.TO_LIGHT, i), vec.neg(get3(work, at.DIRECTION, i))
         weight = vec.dot(n, wi) / (work[at.LIGHT_PDF + i] + bsdf.pdf(scene, material, n, wo, wi))
@@ -189,7 +189,7 @@ def bounce(scene, work, j, glossy):
     if glossy > 0:
         for i in range(LANES):
             material = words[at.MATERIAL + i]
-            if packet[16 * TFAR + i] < ZERO or scene.kind[material] != _PHONG:
+            if packet[16 * TFAR + i] < ZERO or scene.kind[material] != PHONG:
                 continue
             n, wo = get3(work, at.NORMAL, i), vec.neg(get3(work, at.DIRECTION, i))
             u, v = fraction(work[at.U + i] + step * _LATTICE[0]), fraction(work[at.V + i] + step * _LATTICE[1])
@@ -204,7 +204,7 @@ def bounce(scene, work, j, glossy):
 
 @inline
 def fraction(x):
-    return min(x - np.float32(np.int32(x)), np.float32(0.99999994))
+    return min(x - np.float32(np.int32(x)), ALMOST_ONE)
 
 
 @inline
@@ -231,7 +231,7 @@ def queue_bounces(scene, work, queues, lanes, diffuse, specular):
             direction = get3(work, packet + 64, i)
             density = bsdf.pdf(scene, material, n, wo, direction)
             throughput = vec.mul(get3(work, at.THROUGHPUT, i), get3(work, at.REFLECTANCE, i))
-            if scene.kind[material] == _PHONG:
+            if scene.kind[material] == PHONG:
                 f = bsdf.evaluate(scene, material, n, wo, direction)
                 throughput = vec.scale(vec.mul(get3(work, at.THROUGHPUT, i), f), vec.dot(direction, n) / density)
             key = rng.subkey(keys[at.KEY // 2 + i], BRANCH + j)

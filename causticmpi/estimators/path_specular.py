@@ -10,10 +10,9 @@ from causticmpi.estimators.path_stages import BRANCH, look_up, number_hits
 from causticmpi.kernels import bsdf, rng, vec
 from causticmpi.kernels.embree import LANES, RAY16, TFAR
 from causticmpi.kernels.jit import inline
+from causticmpi.kernels.material_kinds import MIRROR
 from causticmpi.kernels.traced_scene import is_specular
 from causticmpi.kernels.vec import HALF, INFINITY, ONE, TWO, ZERO
-
-_MIRROR = 2
 
 
 @inline
@@ -30,7 +29,7 @@ def look_up_specular(scene, work, lanes):
             put3(work, at.THROUGHPUT, i, vec.scale(get3(work, at.THROUGHPUT, i), ONE / bsdf.SURVIVAL))
         material = words[at.MATERIAL + i]
         work[at.ALIVE + i] = ONE
-        work[at.IS_MIRROR + i] = ONE if scene.kind[material] == _MIRROR else ZERO
+        work[at.IS_MIRROR + i] = ONE if scene.kind[material] == MIRROR else ZERO
         work[at.IOR + i] = scene.ior[material]
         put3(work, at.REFLECTANCE, i, vec.row(scene.reflectance, material))
 

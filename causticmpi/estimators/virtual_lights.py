@@ -13,7 +13,8 @@ import numpy as np
 from causticmpi.kernels import bsdf, particles, rng, vec
 from causticmpi.kernels.emission import emit
 from causticmpi.kernels.jit import inline, kernel
-from causticmpi.kernels.vec import INV_PI, ONE, ZERO
+from causticmpi.kernels.material_kinds import DIFFUSE
+from causticmpi.kernels.vec import ALMOST_ONE, INV_PI, ONE, ZERO
 
 
 class VirtualLights(NamedTuple):
@@ -63,7 +64,7 @@ def _radical_inverse(base, index):
 def _halton(base, index, shift):
     """Randomly shifted (Cranley-Patterson) Halton point in [0, 1)."""
     x = _radical_inverse(base, index) + shift
-    return min(np.float32(x - np.floor(x)), np.float32(0.99999994))
+    return min(np.float32(x - np.floor(x)), ALMOST_ONE)
 
 
 @inline
@@ -112,7 +113,7 @@ def trace_virtual_lights(scene, rays, guide, seed, pass_index, paths, lights):
             if at.primitive >= 0 and vec.max3(bsdf.albedo(scene, at.material)) > ZERO:
                 intensity = at.flux
                 peak = bsdf.peak(scene, at.material)
-                if scene.kind[at.material] == 0:
+                if scene.kind[at.material] == DIFFUSE:
                     intensity = vec.scale(vec.mul(at.flux, vec.row(scene.reflectance, at.material)), INV_PI)
                 _store(lights, count, at.p, at.n, at.offset, intensity, at.back, at.material, peak)
                 count += 1

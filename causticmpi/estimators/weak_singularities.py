@@ -15,6 +15,7 @@ import numpy as np
 from causticmpi.kernels import bsdf, vec
 from causticmpi.kernels.embree import LANES, RAY16, TFAR, VALID, ray_buffer, rtc_occluded16, visible
 from causticmpi.kernels.jit import inline
+from causticmpi.kernels.material_kinds import DIFFUSE
 from causticmpi.kernels.vec import ONE, PI, ZERO
 
 POINT = RAY16  # the 16-wide ray's origins are the points, already moved off their surfaces
@@ -106,7 +107,7 @@ def connection(scene, lights, j, p, n, offset, wo, material, bound):
     f = bsdf.evaluate(scene, material, n, wo, wi)
     value = vec.mul(f, vec.row(lights.intensity, j))
     mirror = lights.material[j]
-    if mirror >= 0 and scene.kind[mirror] != 0:
+    if mirror >= 0 and scene.kind[mirror] != DIFFUSE:
         value = vec.mul(value, bsdf.evaluate(scene, mirror, m, vec.row(lights.arrival, j), vec.neg(wi)))
     share = bounded_share(geometry, sharpness(f) * lights.peak[j], bound)
     return vec.scale(value, share * geometry), q
@@ -123,7 +124,7 @@ def gather_tile(scene, packet, lights, count, materials, glossy, bound):
         packet[SUM + i] = ZERO
     traced = 0
     for j in range(count):
-        shiny = lights.material[j] >= 0 and scene.kind[lights.material[j]] != 0
+        shiny = lights.material[j] >= 0 and scene.kind[lights.material[j]] != DIFFUSE
         if glossy or shiny:
             traced += _gather_light_of_any_kind(scene, packet, lights, j, materials, glossy, bound)
             continue

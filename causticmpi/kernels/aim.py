@@ -10,7 +10,7 @@ import numpy as np
 
 from causticmpi.kernels import vec, warp
 from causticmpi.kernels.jit import inline
-from causticmpi.kernels.vec import INV_PI, ONE, PI, ZERO
+from causticmpi.kernels.vec import ALMOST_ONE, INV_PI, ONE, PI, ZERO
 
 NATURAL = np.zeros(7, np.float32)
 """No aim: cosine emission alone."""
@@ -102,7 +102,7 @@ def emission(aim, p, n, choice, u, v):
     if share <= ZERO:
         return vec.to_world(warp.cosine_hemisphere(u, v), n), PI
     if choice < share:
-        direction = sample_aimed(aim, p, min(choice / share, np.float32(0.99999994)), u, v)
+        direction = sample_aimed(aim, p, min(choice / share, ALMOST_ONE), u, v)
     else:
         direction = vec.to_world(warp.cosine_hemisphere(u, v), n)
     cosine = vec.dot(n, direction)

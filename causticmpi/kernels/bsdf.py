@@ -12,16 +12,15 @@ import numpy as np
 
 from causticmpi.kernels import vec, warp
 from causticmpi.kernels.jit import inline
+from causticmpi.kernels.material_kinds import MIRROR, PHONG
 from causticmpi.kernels.vec import HALF, INV_PI, INV_TWO_PI, ONE, TWO, ZERO
-
-_PHONG, _MIRROR = 1, 2
 
 
 @inline
 def evaluate(scene, material, n, wo, wi):
     """BRDF f [1/sr], an RGB tuple; wo and wi above the horizon of n is the caller's duty."""
     f = vec.scale(vec.row(scene.reflectance, material), INV_PI)
-    if scene.kind[material] == _PHONG:
+    if scene.kind[material] == PHONG:
         c = vec.dot(vec.reflect(wo, n), wi)
         if c > ZERO:
             e = scene.exponent[material]
@@ -32,7 +31,7 @@ def evaluate(scene, material, n, wo, wi):
 @inline
 def lobe_share(scene, material):
     """Probability of sampling the Phong lobe rather than the cosine."""
-    if scene.kind[material] != _PHONG:
+    if scene.kind[material] != PHONG:
         return ZERO
     ks = vec.max3(vec.row(scene.specular, material))
     kd = vec.max3(vec.row(scene.reflectance, material))
@@ -60,7 +59,7 @@ def pdf(scene, material, n, wo, wi):
 @inline
 def sample_weight(scene, material, n, wo, choice, u, v):
     """Direction of `sample` and f cos / pdf; black below the horizon."""
-    if scene.kind[material] != _PHONG:
+    if scene.kind[material] != PHONG:
         return vec.to_world(warp.cosine_hemisphere(u, v), n), vec.row(scene.reflectance, material)
     wi = sample(scene, material, n, wo, choice, u, v)
     cosine = vec.dot(n, wi)
@@ -79,7 +78,7 @@ def albedo(scene, material):
 @inline
 def peak(scene, material):
     """Largest pi f of the material over all directions, at least 1: how much sharper than white Lambert it can be."""
-    if scene.kind[material] != _PHONG:
+    if scene.kind[material] != PHONG:
         return ONE
     ks = vec.max3(vec.row(scene.specular, material))
     kd = vec.max3(vec.row(scene.reflectance, material))
@@ -111,7 +110,7 @@ def scatter_specular(scene, material, n, direction, u):
     eta^2 [Veach 1997, sec. 5.2]; the flux of a particle does not. The caller applies it.
     """
     cosine = -vec.dot(direction, n)
-    if scene.kind[material] == _MIRROR:
+    if scene.kind[material] == MIRROR:
         return vec.along(direction, n, TWO * cosine), vec.row(scene.reflectance, material), ONE, False
     ior = scene.ior[material]
     side = n

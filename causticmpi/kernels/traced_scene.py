@@ -6,7 +6,8 @@ import numpy as np
 
 from causticmpi.kernels import vec, warp
 from causticmpi.kernels.jit import inline
-from causticmpi.kernels.vec import ZERO
+from causticmpi.kernels.material_kinds import MIRROR
+from causticmpi.kernels.vec import ALMOST_ONE, ZERO
 
 
 class TracedScene(NamedTuple):
@@ -86,9 +87,9 @@ def pick_light(scene, u):
     """Light chosen in proportion to power, and u rescaled to [0, 1) for another use."""
     light = warp.pick(scene.light_cdf, u)
     before = scene.light_cdf[light - 1] if light > 0 else ZERO
-    return light, min((u - before) / (scene.light_cdf[light] - before), np.float32(0.99999994))
+    return light, min((u - before) / (scene.light_cdf[light] - before), ALMOST_ONE)
 
 
 @inline
 def is_specular(kind):
-    return kind >= 2  # MIRROR, DIELECTRIC of causticmpi.scene.data
+    return kind >= MIRROR

@@ -7,6 +7,8 @@ import numpy as np
 from causticmpi.kernels.jit import inline
 
 ZERO, ONE, TWO, HALF = np.float32(0), np.float32(1), np.float32(2), np.float32(0.5)
+ALMOST_ONE = np.float32(0.99999994)
+"""The largest float32 below 1."""
 PI = np.float32(math.pi)
 TWO_PI = np.float32(2 * math.pi)
 INV_PI = np.float32(1 / math.pi)

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from causticmpi.errors import InputError
-from causticmpi.scene.data import DIELECTRIC, DIFFUSE, MIRROR, PHONG, SceneData
+from causticmpi.kernels.material_kinds import DIELECTRIC, DIFFUSE, MIRROR, PHONG
+from causticmpi.scene.data import SceneData
 
 KINDS = {DIFFUSE: "diffuse", MIRROR: "mirror", DIELECTRIC: "dielectric"}
 """Materials that all renderers know alike."""

@@ -8,7 +8,8 @@ import numpy as np
 from causticmpi.config.records import Box
 from causticmpi.errors import InputError
 from causticmpi.kernels.aim import NATURAL
-from causticmpi.scene.data import MIRROR, SceneData
+from causticmpi.kernels.material_kinds import MIRROR
+from causticmpi.scene.data import SceneData
 
 SHARE = 0.75
 """Share of aimed particles; the others leave as light does, and find what lies outside the box."""

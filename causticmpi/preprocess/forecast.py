@@ -61,7 +61,8 @@ class ForecastMaps(NamedTuple):
 
 @dataclass(frozen=True)
 class ClusterStatistics:
-    """Per cluster: photons (m,), energy (m,) fraction, area (m,) units^2, rank (m,); extent is the search radius."""
+    """Per cluster: photons (m,), energy (m,) fraction, area (m,) units^2, rank (m,). radius: of the gather; overlap:
+    epsilon; both in scene units."""
 
     photons: np.ndarray
     energy: np.ndarray

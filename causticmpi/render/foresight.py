@@ -10,10 +10,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from causticmpi.config.records import RenderConfig
+from causticmpi.kernels.material_kinds import MIRROR, PHONG
 from causticmpi.preprocess.directions import NARROWEST
 from causticmpi.render.methods import BIASED, FORECASTING
 from causticmpi.scene.content import extent, has_specular
-from causticmpi.scene.data import MIRROR, PHONG, SceneData
+from causticmpi.scene.data import SceneData
 
 BLIND = 1e-5
 """Share of the sphere a light fills below which paths that end on it by chance are too rare for a picture."""

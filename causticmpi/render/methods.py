@@ -22,11 +22,11 @@ from causticmpi.estimators.path_layout import FIRST_SPLIT, SECOND_SPLIT, path_wo
 from causticmpi.estimators.path_tracing import trace_paths
 from causticmpi.estimators.virtual_lights import empty_virtual_lights, trace_virtual_lights
 from causticmpi.kernels.embree import ray_buffer
+from causticmpi.kernels.material_kinds import MIRROR, PHONG
 from causticmpi.kernels.traced_scene import TracedScene
 from causticmpi.preprocess.forecast import ForecastMaps
 from causticmpi.preprocess.guides import Guides, no_guides
 from causticmpi.preprocess.photon_map import PhotonMap
-from causticmpi.scene.data import MIRROR
 
 FORECASTING = ("iws+cf",)
 """Methods whose preprocess shoots photons and builds forecast maps."""
@@ -267,7 +267,7 @@ def automatic_bound(extent: float) -> float:
 
 def most_peak(scene: TracedScene) -> float:
     """Largest `bsdf.peak` of any material of the scene."""
-    gloss = scene.kind == 1
+    gloss = scene.kind == PHONG
     if not gloss.any():
         return 1.0
     diffuse, lobe = scene.reflectance[gloss].max(axis=1), scene.specular[gloss].max(axis=1)

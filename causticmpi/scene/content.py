@@ -8,7 +8,8 @@ import numpy as np
 
 from causticmpi.config.check import check_camera
 from causticmpi.config.records import Camera
-from causticmpi.scene.data import MIRROR, SceneData
+from causticmpi.kernels.material_kinds import MIRROR
+from causticmpi.scene.data import SceneData
 
 
 def content_hash(scene: SceneData) -> str:

@@ -9,9 +9,6 @@ import numpy as np
 
 from causticmpi.config.records import Camera
 
-DIFFUSE, PHONG, MIRROR, DIELECTRIC = 0, 1, 2, 3
-"""Material kinds. `kind >= MIRROR` is specular (S, a Dirac lobe); the others are non-specular (D)."""
-
 
 @dataclass(frozen=True)
 class SceneData:
@@ -22,7 +19,7 @@ class SceneData:
     spheres             (S, 4) float32: centre, radius
     primitive_material  (T+S,) int32: row of the material arrays
     primitive_emission  (T+S,) int32: row of `emission`, or -1
-    material_kind       (M,) int32: DIFFUSE, PHONG, MIRROR, DIELECTRIC
+    material_kind       (M,) int32: see kernels.material_kinds
     material_reflectance(M, 3) float32: diffuse albedo, or reflectance of a mirror (1 for a dielectric)
     material_specular   (M, 3) float32: albedo of the Phong lobe (0 elsewhere)
     material_exponent   (M,) float32: Phong exponent (0 elsewhere)

@@ -9,8 +9,9 @@ from causticmpi.config.check import check_camera
 from causticmpi.config.convert import convert, nearest, show
 from causticmpi.config.yaml_source import Keys, YamlSource, read_yaml
 from causticmpi.errors import InputError
+from causticmpi.kernels.material_kinds import MIRROR
 from causticmpi.scene.content import with_hash
-from causticmpi.scene.data import MIRROR, SceneData
+from causticmpi.scene.data import SceneData
 from causticmpi.scene.geometry import Triangles, ZeroAreaError, box_triangles, quad_triangles, sphere_row
 from causticmpi.scene.materials import MaterialTable, emission_spectrum, material_row
 from causticmpi.scene.mesh import mesh_triangles

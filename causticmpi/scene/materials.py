@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from causticmpi.errors import InputError
-from causticmpi.scene.data import DIELECTRIC, DIFFUSE, MIRROR, PHONG
+from causticmpi.kernels.material_kinds import DIELECTRIC, DIFFUSE, MIRROR, PHONG
 from causticmpi.scene.records import Dielectric, Diffuse, Material, Mirror, Spectrum
 
 MAX_RADIANCE = 1e18
