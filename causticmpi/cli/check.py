@@ -6,8 +6,6 @@ from causticmpi.cli.render import overrides
 from causticmpi.config.load import load_config, scene_path
 from causticmpi.output.directory import check_directory
 
-FILM_BYTES = 2 * 12 * 8 + 6 * 4
-"""Per pixel and rank: finished and pending sums (float64), one pass (float32)."""
 PHOTON_BYTES = 3 * 40
 """Per photon and node: forecast maps, with overlaps of the clusters; a photon map takes less."""
 MANY = 20
@@ -20,8 +18,9 @@ def check(arguments: argparse.Namespace) -> int:
     """Validate all that `render` would read; print what it will need. Raises InputError."""
     from causticmpi.distributed.environment import launcher_rank
     from causticmpi.distributed.estimate import estimate
+    from causticmpi.render.film import CHANNELS, LIGHT_CHANNELS
     from causticmpi.render.foresight import of_scene
-    from causticmpi.render.methods import BIASED, FORECASTING
+    from causticmpi.render.methods import BIASED, FORECASTING, traces_light
     from causticmpi.scene.content import has_specular
     from causticmpi.scene.load import load_scene
 
@@ -38,7 +37,9 @@ def check(arguments: argparse.Namespace) -> int:
     x0, y0, x1, y1 = film.crop or (0, 0, film.width, film.height)
     pixels = (x1 - x0) * (y1 - y0)
     triangles, spheres = len(scene.triangles), len(scene.spheres)
-    rank_mb = PROCESS_MB + pixels * FILM_BYTES / 2**20 + triangles * 150 / 2**20
+    channels = CHANNELS + (LIGHT_CHANNELS if traces_light(config) and has_specular(scene) else 0)
+    film_bytes = 2 * 8 * channels + 4 * 9  # merged and pending sums (float64), the films of one pass (float32)
+    rank_mb = PROCESS_MB + pixels * film_bytes / 2**20 + triangles * 150 / 2**20
     node_mb = sum(getattr(scene, name).nbytes for name in scene.ARRAYS) / 2**20
     caustics, photons = "not forecast", 0
     if has_specular(scene) and config.method in FORECASTING:

@@ -4,11 +4,10 @@ from dataclasses import dataclass
 
 from causticmpi.config.records import RenderConfig
 from causticmpi.distributed.clock import Stopwatch
-from causticmpi.distributed.prepare import needs_forecast, prepare_forecast, share_scene
+from causticmpi.distributed.prepare import needs_forecast, prepare_method, share_scene
 from causticmpi.distributed.warmup import warm_up
 from causticmpi.distributed.world import SerialWorld
 from causticmpi.kernels.pixels import pixel_order
-from causticmpi.render.methods import make_method
 from causticmpi.render.rounds import Batches
 from causticmpi.scene.content import with_camera
 from causticmpi.scene.data import SceneData
@@ -41,11 +40,10 @@ def estimate(config: RenderConfig, scene: SceneData) -> Estimate:
     warm_up(config, True, needs_forecast(config, scene))
     watch = Stopwatch(from_now=True)
     prepared = share_scene(world, scene, config.watertight)
-    forecasting = prepare_forecast(world, config, prepared, watch)
     film = config.film
     window = film.crop or (0, 0, film.width, film.height)
     camera = camera_array(prepared.data.camera, film.width, film.height)
-    method = make_method(config, prepared.traced, camera, forecasting.maps, prepared.extent)
+    method, _ = prepare_method(world, config, prepared, camera, watch)
     preparing = watch.elapsed()
     slots = (window[2] - window[0]) * (window[3] - window[1])
     per_pass = Batches(method, pixel_order(window, film.width), slots).pilot_seconds()
