@@ -47,6 +47,12 @@ def relative_error(values: np.ndarray) -> float:
     return float(means.std(ddof=1) / np.sqrt(len(means)) / means.mean())
 
 
+def largest_share(values: np.ndarray) -> float:
+    """The largest share that a single one of (passes, columns) has in the sum of its column: where it is not small, one
+    pass is all the evidence, its variance is unknown, and a t-test says nothing."""
+    return float((values.max(axis=0) / values.sum(axis=0)).max())
+
+
 def compare(a: np.ndarray, b: np.ndarray) -> Verdict:
     """Welch's t-test of every column of two (passes, columns) arrays, which may differ in passes."""
     va, vb = a.var(axis=0, ddof=1) / len(a), b.var(axis=0, ddof=1) / len(b)
