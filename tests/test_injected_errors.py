@@ -151,6 +151,14 @@ def test_errors_of_the_mixture(
     assert judge(scene, truth, "mixture").p < CLEAR
 
 
+MIRRORS_COMPENSATED = ("if primitive < 0 or is_specular(scene.kind[scene.material[primitive]]):", "if primitive < 0:")
+"""Of `full_radiance`: the compensation ray follows what it hits on S."""
+FROM_MUTANT_RADIANCE = (
+    "from causticmpi.estimators import full_radiance as fr\n",
+    "import mutant_estimators_full_radiance as fr\n",
+)
+
+
 def test_compensation_counts_caustics_again(
     scene: SceneData, truth: np.ndarray, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -158,20 +166,12 @@ def test_compensation_counts_caustics_again(
 
     Only mirrors within the ray's reach sqrt(cos / b) do harm: a large b would hide the error.
     """
-    mutant(
-        "estimators.full_radiance",
-        tmp_path,
-        ("if primitive < 0 or is_specular(scene.kind[scene.material[primitive]]):", "if primitive < 0:"),
-    )
+    mutant("estimators.full_radiance", tmp_path, MIRRORS_COMPENSATED)
     made = mutant("estimators.iws_cf", tmp_path, FROM_MUTANT_RADIANCE)
     monkeypatch.setattr(methods, "trace_iws_cf", made.trace_iws_cf)
     assert judge(scene, truth).p < CLEAR
 
 
-FROM_MUTANT_RADIANCE = (
-    "from causticmpi.estimators import full_radiance as fr\n",
-    "import mutant_estimators_full_radiance as fr\n",
-)
 FROM_MUTANT = (
     "from causticmpi.estimators import caustic_forecast as cf\n",
     "import mutant_estimators_caustic_forecast as cf\n",

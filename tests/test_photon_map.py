@@ -12,7 +12,7 @@ import pytest
 from rendering import make_config, prepare, render_passes, scene_from, total
 from scipy import stats
 from test_furnace import SPHERES, room
-from test_injected_errors import CLEAR, mutant
+from test_injected_errors import CLEAR, FROM_MUTANT_RADIANCE, MIRRORS_COMPENSATED, mutant
 from test_kernels_photons import FLUX, PERISCOPE, SILVER
 from z_test import ALPHA
 
@@ -245,8 +245,8 @@ def test_a_caustic_counted_twice_shows_in_the_furnace(
     furnace: SceneData, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The compensation ray follows what it hits on S, although the photon map holds that light already."""
-    change = (" or is_specular(scene.kind[scene.material[primitive]]):", ":")
-    made = mutant("estimators.iws_pm", tmp_path, change)
+    mutant("estimators.full_radiance", tmp_path, MIRRORS_COMPENSATED)
+    made = mutant("estimators.iws_pm", tmp_path, FROM_MUTANT_RADIANCE)
     monkeypatch.setattr(methods, "trace_iws_pm", made.trace_iws_pm)
     assert made.trace_iws_pm is not iws_pm.trace_iws_pm
     ratio, _ = furnace_mean(furnace, 20_000)
