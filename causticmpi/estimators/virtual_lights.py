@@ -95,7 +95,7 @@ def trace_virtual_lights(scene, rays, guide, seed, pass_index, paths, lights):
     s6, _ = rng.uniform2(shift, 3)
     for path in range(paths):
         key = rng.make_key(seed, rng.PARTICLE, pass_index, path)
-        u, v, w = _halton(17, path, s6), _halton(2, path, s0), _halton(3, path, s1)
+        u, v, w = (np.float32(path) + s6) * share, _halton(2, path, s0), _halton(3, path, s1)
         p, n, offset, power, direction, flux = emit(scene, guide, u, v, w, _halton(5, path, s2), _halton(7, path, s3))
         power, flux = vec.scale(power, share), vec.scale(flux, share)
         _store(lights, count, p, n, offset, power, n, -1, ONE)
