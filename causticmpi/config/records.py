@@ -76,7 +76,8 @@ class Forecast(Record):
     photons: caustic points to collect; clusters: codewords of the clustering; neighbours: n of the gather;
     table: bins in azimuth and cosine; max_rank: clusters of a higher rank are not gathered from; splitting:
     samples of each table, or of cones, at rank 0 and diffuse depth 0; light_tracing: with `mixture`, light paths draw
-    the caustics that the eye sees directly; radius, overlap: gather radius and the epsilon around a cluster in scene
+    the caustics that the eye sees directly; pilot: with `mixture`, a few passes of a small picture decide how much
+    light tracing there is, and whether the forecast pays at all (render.pilot); radius, overlap: gather radius and the epsilon around a cluster in scene
     units, `auto` derives them from the average photon density; aim: box towards which most photons are shot, `auto`
     around all specular surfaces, `off`.
     """
@@ -90,6 +91,7 @@ class Forecast(Record):
     max_rank: Count = 8
     splitting: PositiveInt = 2
     light_tracing: bool = True
+    pilot: bool = True
     radius: Positive | Literal["auto"] = "auto"
     overlap: Positive | Literal["auto"] = "auto"
     aim: Literal["off", "auto"] | Box = "off"

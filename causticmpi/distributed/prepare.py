@@ -17,6 +17,7 @@ from causticmpi.preprocess.photon_map import PhotonMap, build_photon_map, no_pho
 from causticmpi.preprocess.photons import CausticPoints, shoot_photons
 from causticmpi.render.foresight import of_photon_map, of_photons
 from causticmpi.render.methods import FORECASTING, Method, bound_of, make_method
+from causticmpi.render.pilot import Plan, needs_pilot, run_pilot
 from causticmpi.scene.content import extent, has_specular
 from causticmpi.scene.data import SceneData
 from causticmpi.scene.tracing import primitive_arrays, traced_scene
@@ -62,6 +63,7 @@ class Forecasting:
     rays: int = 0
     warnings: tuple[str, ...] = ()
     guides: Guides = field(default_factory=no_guides)
+    plan: Plan | None = None
 
 
 def needs_forecast(config: RenderConfig, scene: SceneData) -> bool:
@@ -75,6 +77,11 @@ def prepare_method(
     """Collective. The whole preprocess, and the method on every rank. camera: see kernels.camera."""
     made = prepare_forecast(world, config, scene, watch)
     made.guides = _prepare_guides(world, config, scene, camera, watch)
+    if needs_pilot(config, made.maps):
+        made.plan = _prepare_plan(world, config, scene, made, watch)
+        made.guides = made.guides._replace(paths_per_pixel=made.plan.paths_per_pixel)
+        if made.plan.plain:
+            made.maps = no_forecast()
     return make_method(config, scene.traced, camera, made.maps, scene.extent, made.guides), made
 
 
@@ -88,6 +95,18 @@ def _prepare_guides(
         with watch.stage("guides"):
             guides = learn_guides(scene.traced, camera, film.width, film.height, config.seed, bound)
     return world.broadcast(guides)
+
+
+def _prepare_plan(
+    world: World, config: RenderConfig, scene: PreparedScene, made: Forecasting, watch: Stopwatch
+) -> Plan:
+    """Rank 0 finds out which way of sampling pays."""
+    plan = None
+    if world.is_root:
+        with watch.stage("pilot"):
+            plan = run_pilot(config, scene.data, scene.traced, made.maps, scene.extent, made.guides)
+    shared: Plan = world.broadcast(plan)
+    return shared
 
 
 def prepare_forecast(world: World, config: RenderConfig, scene: PreparedScene, watch: Stopwatch) -> Forecasting:

@@ -59,6 +59,8 @@ class Recorder:
         made.warnings = (*of_scene(self.config, self.scene), *made.warnings)
         for warning in made.warnings:
             print(f"causticmpi: warning: {warning}", file=sys.stderr)
+        if made.plan is not None:
+            self.progress.stage(f"caustics {made.plan.words}")
         self.maps_hash = maps_hash(made.maps, made.guides)
         if self.before is not None and self.before.maps != self.maps_hash:
             print(

@@ -1,7 +1,7 @@
 """What rank 0 makes of the sums of all ranks: the picture, the report, and the files in the output directory."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -93,6 +93,7 @@ class Result:
             "photons": forecasting.photons,
             "particles": forecasting.emitted,
             "search_radius": forecasting.maps.radius if forecasting.photons else None,
+            "plan": None if forecasting.plan is None else asdict(forecasting.plan),
         }
         report["memory_mb_per_rank"] = [round(one.memory_mb, 1) for one in merged.usage]
         report["cpu_seconds"] = cpu_summary(merged.usage)

@@ -22,6 +22,7 @@ STAGES = (
     "clustering",
     "trees",
     "guides",
+    "pilot",
     "broadcast",
     "tracing",
     "tables",
