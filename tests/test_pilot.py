@@ -19,7 +19,9 @@ from causticmpi.stability.scenes import build, write_scene
 SLOTS, BLOCKS = 64, (4, 4)
 
 
-def trial(eye: float, light: float, eye_rays: float, light_rays: float, caustic: np.ndarray | None = None) -> pilot.Trial:
+def trial(
+    eye: float, light: float, eye_rays: float, light_rays: float, caustic: np.ndarray | None = None
+) -> pilot.Trial:
     """Of given variance per pass, mean 1; caustic: (2, 4, 4) mean and standard deviation of L_c in each block."""
     n = pilot.PASSES
     total = np.full((SLOTS, 3), float(n))

@@ -26,6 +26,7 @@ from causticmpi.preprocess.photons import CausticPoints, shoot_photons
 from causticmpi.render import features, film, precision
 from causticmpi.render.film import Film
 from causticmpi.render.methods import make_method, traces_light
+from causticmpi.render.pilot import needs_pilot
 from causticmpi.scene.data import SceneData
 from causticmpi.scene.tracing import camera_array
 
@@ -122,6 +123,10 @@ def warm_up(config: RenderConfig, root: bool, forecasting: bool) -> bool:
     method.begin_pass(0)
     pass_film = np.zeros((16, 6), np.float32)
     method.trace(pixels, pass_film)
+    if isinstance(maps, ForecastMaps) and needs_pilot(config, maps):  # which may choose to go without maps
+        plain = make_method(config, scene.traced, camera, forecast.no_forecast(), 1.0)
+        plain.begin_pass(0)
+        plain.trace(pixels, pass_film)
     sums = Film(16, 2.0**-40)
     sums.add_pass(pass_film)
     if root:
