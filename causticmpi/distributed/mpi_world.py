@@ -173,8 +173,10 @@ class MpiWorld(World):
             self._watchdog = Watchdog(self.comm, self._hosts)
             while_waiting.append(self.pulse)
             return
+        self.barrier()  # in the ring still: a rank can stop after its last batch too
         while_waiting.remove(self.pulse)
-        self.barrier()
+        with given_up_in_time(f"rank {self.rank} of {self.size} on {self._hosts[self.rank]}"):
+            self.barrier()  # nobody speaks any more
         assert self._watchdog is not None
         self._watchdog.drain()
         self._watchdog = None
