@@ -121,6 +121,15 @@ def test_a_stopped_rank_ends_the_run(tmp_path: Path) -> None:
         time.sleep(0.05)
 
 
+@pytest.mark.mpi
+def test_a_rank_stopped_after_its_last_batch_ends_the_run() -> None:
+    require_mpi()
+    program = Path(__file__).parent / "mpi_programs" / "stopped_at_the_end.py"
+    process = start_mpi(2, [str(program)], {"CAUSTICMPI_PATIENCE": "2"})
+    _, err = process.communicate(timeout=PATIENCE)
+    assert process.returncode != 0 and "rank 1 of 2 on " in err and "ending all ranks" in err
+
+
 def is_rank_1_below(entry: Path, launcher: int) -> bool:
     """Whether a process is the rank 1 that this launcher started."""
     try:
