@@ -23,7 +23,9 @@ MOST_SINGLE, MOST_PACKETS = 4_000_000, 200_000
 MOST_PHOTONS = 200_000
 """Caustic points whose rays are recorded."""
 NEAREST, SHADOW = 0, 1
-"""Kinds of packet: rtcIntersect16 and rtcOccluded16."""
+"""Kinds of query: rtcIntersect and rtcOccluded."""
+QUERIES = ("packets", "kinds", "single", "single_kinds")
+"""Suffixes of all queries of a part of the renderer in the file."""
 
 
 def _as_pointer(typingctx: Any, address: Any) -> Any:
@@ -46,23 +48,26 @@ def _symbol(name: str, arguments: int) -> Any:
 
 
 class Recorder:
-    """Keeps the first queries in packets; `kinds` says of which kind each is, `counts[0]` how many there are."""
+    """Keeps the first queries in packets; `kinds` says of which kind each is, `counts[0]` how many there are; so for
+    single rays."""
 
     def __init__(self) -> None:
         self.packets = np.zeros((MOST_PACKETS, PACKET_WORDS), np.float32)
         self.kinds = np.zeros(MOST_PACKETS, np.int8)
         self.counts = np.zeros(1, np.int64)
         self.single = np.zeros((MOST_SINGLE, SINGLE_WORDS), np.float32)
+        self.single_kinds = np.zeros(MOST_SINGLE, np.int8)
         self.single_count = np.zeros(1, np.int64)
         self._callbacks = [
-            self._replace_single(),
+            self._replace_single("rtcIntersect1", NEAREST),
+            self._replace_single("rtcOccluded1", SHADOW),
             self._replace("rtcIntersect16", NEAREST),
             self._replace("rtcOccluded16", SHADOW),
         ]
 
-    def _replace_single(self) -> Any:
-        real = _symbol("rtcIntersect1", 3)
-        log, counter = self.single.ctypes.data, self.single_count.ctypes.data
+    def _replace_single(self, name: str, kind: int) -> Any:
+        real = _symbol(name, 3)
+        log, kinds, counter = self.single.ctypes.data, self.single_kinds.ctypes.data, self.single_count.ctypes.data
 
         @numba.cfunc(types.void(types.intp, types.intp, types.intp))
         def record(scene, ray, arguments):
@@ -72,10 +77,11 @@ class Recorder:
                 source = numba.carray(_pointer(ray), (12,))
                 for i in range(12):
                     row[i] = source[i]
+                numba.carray(_pointer(kinds), (MOST_SINGLE // 4,)).view(np.int8)[count[0]] = kind
                 count[0] += 1
             real(scene, ray, arguments)
 
-        llvm.add_symbol("rtcIntersect1", record.address)
+        llvm.add_symbol(name, record.address)
         return record
 
     def _replace(self, name: str, kind: int) -> Any:
@@ -98,15 +104,26 @@ class Recorder:
         return record
 
     def take(self) -> tuple[np.ndarray, np.ndarray]:
-        """Packets and kinds recorded since the last call."""
+        """Packets and kinds recorded since the last call of this or `take_all`."""
         count = int(self.counts[0])
-        self.counts[0] = 0
+        self.counts[0] = self.single_count[0] = 0
         return self.packets[:count].copy(), self.kinds[:count].copy()
+
+    def take_all(self, name: str) -> dict[str, np.ndarray]:
+        """So too, with single rays and their kinds, as `recorded_queries` takes them."""
+        count = int(self.single_count[0])
+        single, single_kinds = self.single[:count].copy(), self.single_kinds[:count].copy()
+        packets, kinds = self.take()
+        if count == MOST_SINGLE or len(kinds) == MOST_PACKETS:
+            raise RuntimeError(f"more rays of {name} than there is room for")
+        return {
+            f"{name}_{part}": array for part, array in zip(QUERIES, (packets, kinds, single, single_kinds), strict=True)
+        }
 
 
 def main(config_file: str, out: str) -> None:
-    """Record queries of `pt` (`path_packets`, `path_kinds`, in order) and the virtual lights' shadow rays (`packets`)
-    and rays of `photons` into `out`."""
+    """Record queries of `pt` (`path_packets`, `path_kinds`, in order), the virtual lights' shadow rays (`packets`),
+    rays of `photons`, and all QUERIES of `iws`, `iws+cf` and `light` into `out`."""
     recorder = Recorder()
     from causticmpi.bench.subjects import Subject
 
@@ -115,11 +132,21 @@ def main(config_file: str, out: str) -> None:
     path_packets, path_kinds = recorder.take()
     subject.gather(subject.pixels[: len(subject.pixels) // 2 // 16 * 16])
     packets, kinds = recorder.take()
-    recorder.single_count[0] = 0
     subject.photons(MOST_PHOTONS)
-    photons = recorder.single[: recorder.single_count[0]]
+    photons = recorder.single[: recorder.single_count[0]].copy()
+    subject.eye_paths("iws"), subject.eye_paths("iws+cf"), subject.light_paths()  # preprocess and compiling aside
+    parts: dict[str, np.ndarray] = {}
+    for name, run in (
+        ("iws", lambda: subject.eye_paths("iws")),
+        ("iws+cf", lambda: subject.eye_paths("iws+cf")),
+        ("light", subject.light_paths),
+    ):
+        recorder.take()
+        run()
+        parts |= recorder.take_all(name)
     shadows = packets[kinds == SHADOW]
-    np.savez(out, path_packets=path_packets, path_kinds=path_kinds, packets=shadows, photons=photons)
+    parts |= {"path_packets": path_packets, "path_kinds": path_kinds, "packets": shadows, "photons": photons}
+    np.savez(out, **parts)  # type: ignore[arg-type]
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from causticmpi.bench.preprocess import STAGES
+from causticmpi.bench.record import QUERIES
 from causticmpi.bench.subjects import Subject
 
 REPETITIONS = 5
@@ -23,13 +24,31 @@ RATES = {
     "gather": "virtual-light gather, all of it",
     "raw_photons": "Embree alone, the rays of forecast photons",
     "photons": "shooting photons until 1 M caustic points are found, all of it",
+    "raw_iws": "Embree alone, all rays of `iws`",
+    "iws": "`iws`, all of it",
+    "raw_iws+cf": "Embree alone, all rays of the eye paths of `iws+cf`",
+    "iws+cf": "eye paths of `iws+cf`, all of it: gather, tables, chains",
+    "raw_light": "Embree alone, all rays of light tracing",
+    "light": "light tracing, all of it",
 }
 """What is timed, in million rays per CPU second."""
 RATIOS = {
     "pt / raw": ("pt", "raw_paths"),
     "gather / raw": ("gather", "raw_packets"),
     "photons / raw": ("photons", "raw_photons"),
+    "iws / raw": ("iws", "raw_iws"),
+    "iws+cf / raw": ("iws+cf", "raw_iws+cf"),
+    "light / raw": ("light", "raw_light"),
 }
+PARTS = {
+    "seeing": "what the eye sees first",
+    "gather": "virtual lights there",
+    "compensation": "compensation and deeper vertices of L_d",
+    "caustics": "caustics by the forecast: gather, tables, chains, deeper vertices",
+    "light": "light tracing",
+}
+"""Where the time of a pass of `iws+cf` goes."""
+PER_SAMPLE = "caustics: CPU time over Embree's for the same rays"
 
 
 def recorded_rays(config_file: str) -> dict[str, np.ndarray]:
@@ -49,6 +68,8 @@ def measure(config_file: str, repetitions: int = REPETITIONS) -> dict[str, Any]:
     rounds: dict[str, list[float]] = {name: [] for name in RATES}
     preprocess: list[dict[str, float]] = []
     million: list[dict[str, float]] = []
+    shares: list[dict[str, float]] = []
+    per_sample: list[float] = []
     for _ in range(repetitions):
         for name, timed in (
             ("raw_single", lambda: subject.raw_single(recorded["path_packets"], recorded["path_kinds"])),
@@ -59,8 +80,20 @@ def measure(config_file: str, repetitions: int = REPETITIONS) -> dict[str, Any]:
             ("raw_photons", lambda: subject.raw_photons(recorded["photons"])),
             ("photons", subject.photons),
         ):
-            queries, seconds = timed()
-            rounds[name].append(queries / seconds / 1e6)
+            rays, seconds = timed()
+            rounds[name].append(rays / seconds / 1e6)
+        spent: dict[str, float] = {}
+        for name in ("iws", "iws+cf", "light"):
+            queries = {part: recorded[f"{name}_{part}"] for part in QUERIES}
+            for label, (rays, seconds) in (
+                (f"raw_{name}", subject.raw_part(queries)),
+                (name, subject.light_paths() if name == "light" else subject.eye_paths(name)),
+            ):
+                rounds[label].append(rays / max(seconds, 1e-9) / 1e6)
+                spent[label] = seconds
+        per_sample.append((spent["iws+cf"] - spent["iws"]) / (spent["raw_iws+cf"] - spent["raw_iws"]))
+        parts = subject.parts()
+        shares.append({part: seconds / sum(parts.values()) for part, seconds in parts.items()})
         preprocess.append(subject.preprocess())
         million.append(subject.million())
     return {
@@ -68,10 +101,12 @@ def measure(config_file: str, repetitions: int = REPETITIONS) -> dict[str, Any]:
         "triangles": len(subject.scene.data.triangles),
         "million_rays_per_cpu_second": {name: _summary(values) for name, values in rounds.items()},
         "ratios": {
-            name: _summary([a / b for a, b in zip(rounds[top], rounds[bottom], strict=True)])
+            name: _summary([a / max(b, 1e-9) for a, b in zip(rounds[top], rounds[bottom], strict=True)])
             for name, (top, bottom) in RATIOS.items()
         },
         "million_paths_per_cpu_second": _summary(subject.path_rates),
+        "share_of_a_pass": {part: _summary([share[part] for share in shares]) for part in PARTS},
+        "caustics_over_raw_time": _summary(per_sample),
         "preprocess_seconds": {
             stage: _summary([p[stage] for p in preprocess]) for stage in ("photons", "clustering", "trees")
         },
@@ -97,6 +132,9 @@ def table(results: Sequence[dict[str, Any]]) -> str:
     lines.append(row("path tracing [Mpaths/s]", [r["million_paths_per_cpu_second"] for r in results]))
     for name in RATIOS:
         lines.append(row(name, [r["ratios"][name] for r in results]))
+    lines.append(row(PER_SAMPLE, [r["caustics_over_raw_time"] for r in results]))
+    for part, label in PARTS.items():
+        lines.append(row(f"share of a pass: {label}", [r["share_of_a_pass"][part] for r in results]))
     for stage in ("photons", "clustering", "trees"):
         lines.append(row(f"preprocess: {stage} [s]", [r["preprocess_seconds"][stage] for r in results], 3))
     for stage, label in STAGES.items():

@@ -1,6 +1,7 @@
 """What is timed: each kernel of the renderer on one scene, and Embree alone on recorded rays."""
 
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +9,7 @@ import msgspec
 import numpy as np
 
 from causticmpi.bench.preprocess import MILLION, preprocess_of
-from causticmpi.bench.record import NEAREST
+from causticmpi.bench.record import NEAREST, QUERIES
 from causticmpi.config.load import load_config, scene_path
 from causticmpi.distributed.clock import Stopwatch
 from causticmpi.distributed.prepare import prepare_forecast, prepare_method, share_scene
@@ -24,6 +25,7 @@ from causticmpi.kernels.embree import (
     ray_buffer,
     rtc_intersect1,
     rtc_intersect16,
+    rtc_occluded1,
     rtc_occluded16,
 )
 from causticmpi.kernels.jit import kernel
@@ -54,6 +56,21 @@ def _replay_rows(handle, queries):
     for i in range(queries.shape[0]):
         words[i, GEOM] = MISS
         rtc_intersect1(handle, queries.ctypes.data + i * 128, 0)
+        hits += words[i, GEOM] != MISS
+    return hits
+
+
+@kernel
+def _replay_mixed(handle, queries, kinds):
+    """The same, of both kinds."""
+    hits = 0
+    words = queries.view(np.uint32)
+    for i in range(queries.shape[0]):
+        words[i, GEOM] = MISS
+        if kinds[i] == NEAREST:
+            rtc_intersect1(handle, queries.ctypes.data + i * 128, 0)
+        else:
+            rtc_occluded1(handle, queries.ctypes.data + i * 128, 0)
         hits += words[i, GEOM] != MISS
     return hits
 
@@ -118,6 +135,8 @@ def _all_lanes() -> np.ndarray:
 
 PART = 16 * 64
 """Rows of `pixels` in one call of the path tracer."""
+SPARSE = 16
+"""One of so many parts of the picture, and of the light paths, is traced where all queries are kept."""
 
 
 class Subject:
@@ -177,6 +196,44 @@ class Subject:
         (_, shadows), both = run(method.light_count)
         return shadows, both - seeing
 
+    def eye_paths(self, name: str) -> tuple[int, float]:
+        """One pass of the eye paths of `iws` or `iws+cf` in every SPARSE-th part of the picture."""
+        method = self._method(name)
+        method.begin_pass(0)
+        method.trace(self.pixels[:0], self.film)
+        parts = [self.pixels[row : row + PART] for row in range(0, len(self.pixels), SPARSE * PART)]
+        return _timed(lambda: sum(method.trace(part, self.film) for part in parts))
+
+    def light_paths(self) -> tuple[int, float]:
+        """A SPARSE-th of the light paths of a pass."""
+        method, film = self._method("iws+cf"), np.zeros((len(self.film), 3), np.float32)
+        if not method.light_paths:
+            return 0, 0.0
+        method.trace_light(0, 0, 0, film)
+        return _timed(lambda: method.trace_light(0, 0, method.light_paths // SPARSE, film))
+
+    def parts(self) -> dict[str, float]:
+        """CPU seconds of the parts of a pass of `iws+cf`, each by what its kernel takes with and without it."""
+        method = self._method("iws")
+        method.begin_pass(0)
+        common = (self.scene.traced, self.camera, method.work)
+        rows = [self.pixels[row : row + PART] for row in range(0, len(self.pixels), SPARSE * PART)]
+
+        def see(count: int) -> float:
+            run = (0, method.lights, count, method.bound)
+            return _timed(lambda: [_see_and_gather(*common, part, *run) for part in rows])[1]
+
+        _see_and_gather(*common, self.pixels[:0], 0, method.lights, 0, method.bound)
+        seeing, gathered = see(0), see(method.light_count)
+        diffusive, whole = self.eye_paths("iws")[1], self.eye_paths("iws+cf")[1]
+        return {
+            "seeing": seeing,
+            "gather": gathered - seeing,
+            "compensation": diffusive - gathered,
+            "caustics": whole - diffusive,
+            "light": self.light_paths()[1],
+        }
+
     def photons(self, count: int = MILLION) -> tuple[int, float]:
         """Shooting `count` photons: rays. The points are kept for `million`."""
         shoot_photons(self.scene.traced, ray_buffer(), 1, 1)
@@ -215,6 +272,16 @@ class Subject:
         handle = self.scene.embree.handle
         _replay_rows(handle, rays[:0])
         return len(queries), _timed(lambda: _replay_rows(handle, rays))[1]
+
+    def raw_part(self, queries: Mapping[str, np.ndarray]) -> tuple[int, float]:
+        """Embree alone on all queries of a part (see bench.record.QUERIES): queries in use, CPU seconds."""
+        packets, kinds, single, single_kinds = (queries[part] for part in QUERIES)
+        handle = self.scene.embree.handle
+        rows = _aligned(len(single), 32)
+        rows[:, : single.shape[1]] = single
+        _replay_mixed(handle, rows[:0], single_kinds[:0])
+        used, seconds = self.raw_paths(packets, kinds)
+        return used + len(single), seconds + _timed(lambda: _replay_mixed(handle, rows, single_kinds))[1]
 
     def raw_packets(self, packets: np.ndarray) -> tuple[int, float]:
         """Embree alone on recorded 16-wide shadow packets (n, 192): rays in use."""

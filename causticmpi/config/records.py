@@ -77,9 +77,9 @@ class Forecast(Record):
     table: bins in azimuth and cosine; max_rank: clusters of a higher rank are not gathered from; splitting:
     samples of each table, or of cones, at rank 0 and diffuse depth 0; light_tracing: with `mixture`, light paths draw
     the caustics that the eye sees directly; pilot: with `mixture`, a few passes of a small picture decide how much
-    light tracing there is, and whether the forecast pays at all (render.pilot); radius, overlap: gather radius and the epsilon around a cluster in scene
-    units, `auto` derives them from the average photon density; aim: box towards which most photons are shot, `auto`
-    around all specular surfaces, `off`.
+    light tracing there is, and whether the forecast pays at all (render.pilot); radius, overlap: gather radius and the
+    epsilon around a cluster in scene units, `auto` derives them from the average photon density; aim: box towards which
+    most photons are shot, `auto` around all specular surfaces, `off`.
     """
 
     sampling: Literal["mixture", "two", "one", "one-cosine", "one-smooth", "mis"] = "mixture"

@@ -161,7 +161,7 @@ def _try(method: Method, film: Film, ray: float) -> Trial:
     samples = np.zeros((width * height, 6), np.float32)
     splats = np.zeros((width * height, 3), np.float32)
     sums = [np.zeros((width * height, 3)) for _ in range(4)]
-    caustics = [np.zeros((len(blocks[0]), len(blocks[1]))) for _ in range(2)]
+    caustics = np.zeros((2, len(blocks[0]), len(blocks[1])))
     eye_rays = light_rays = 0
     for index in range(FIRST_PASS, FIRST_PASS + PASSES):
         samples[:] = splats[:] = 0
@@ -174,7 +174,8 @@ def _try(method: Method, film: Film, ray: float) -> Trial:
             total += value
         lit = (samples[:, 3:] + splats).astype(np.float64).sum(axis=1).reshape(height, width)
         lit = np.add.reduceat(np.add.reduceat(lit, blocks[0], axis=0), blocks[1], axis=1)
-        for total, value in zip(caustics, (lit, lit * lit), strict=True):
-            total += value
+        caustics[0] += lit
+        caustics[1] += lit * lit
     pixel_passes = PASSES * width * height
-    return Trial(*sums, *caustics, ray * eye_rays / pixel_passes, LIGHT_RAY * light_rays / pixel_passes)
+    rays = ray * eye_rays / pixel_passes, LIGHT_RAY * light_rays / pixel_passes
+    return Trial(sums[0], sums[1], sums[2], sums[3], caustics[0], caustics[1], *rays)
