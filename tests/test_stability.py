@@ -54,6 +54,11 @@ def test_a_wrong_mean_is_found_and_a_right_one_is_not() -> None:
     assert wrong.verdict == "WRONG" and wrong.difference == pytest.approx(0.03, abs=0.01)
 
 
+def test_too_few_batches_for_a_t_test_are_refused() -> None:
+    with pytest.raises(msgspec.ValidationError, match="batches"):
+        page(batches=7)
+
+
 def test_error_at_equal_time_counts_tracing_preprocess_and_bias() -> None:
     rival = [measured("rival", "pt", seed=9, noise=1e-3)]
     made = page(equal_time=10.0)
@@ -144,7 +149,7 @@ def test_pages_that_could_not_run_are_refused(change: dict, words: str) -> None:
 
 def test_photons_that_are_no_numbers_are_refused_others_taken(tmp_path: Path) -> None:
     made = page(
-        sweep={"parameter": "photons", "name": "lie", "values": list(LIES)}, side=8, seconds=0.02, batches=4,
+        sweep={"parameter": "photons", "name": "lie", "values": list(LIES)}, side=8, batch_passes=2, batches=8,
         contenders=[{"label": "cf", "set": {"method": "iws+cf", "forecast.photons": 300, "forecast.clusters": 4}}],
         baseline=None,
     )  # fmt: skip
@@ -162,8 +167,8 @@ kind: {kind}
 room: {{template: box, set: {{light: 0.5}}}}
 set: {{forecast.photons: 300, forecast.clusters: 4}}
 side: 8
-seconds: 0.05
-batches: 4
+batch_passes: 16
+batches: 8
 runs: 8
 passes: 64
 samples: 1000

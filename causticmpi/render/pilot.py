@@ -169,7 +169,7 @@ def _try(method: Method, film: Film, ray: float) -> Trial:
         eye_rays += method.trace(pixels, samples)
         if method.light_paths:
             light_rays += method.trace_light(index, 0, method.light_paths, splats)
-        eye, light = np.float64(samples[:, :3]) + samples[:, 3:], np.float64(splats)
+        eye, light = samples[:, :3].astype(np.float64) + samples[:, 3:], splats.astype(np.float64)
         for total, value in zip(sums, (eye, eye * eye, light, light * light), strict=True):
             total += value
         lit = (samples[:, 3:] + splats).astype(np.float64).sum(axis=1).reshape(height, width)

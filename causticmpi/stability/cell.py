@@ -153,23 +153,28 @@ def _lights_moved(data: SceneData) -> SceneData:
     return dataclasses.replace(data, vertices=vertices)
 
 
-def measure(bench: Bench, label: str, seconds: float, batches: int) -> Measured:
-    """Batches of equally many passes, so many that they take about `seconds` of CPU time in all.
+def passes_within(bench: Bench, seconds: float) -> float:
+    """How many passes take about `seconds` of CPU time.
 
-    Their number follows a pilot whose samples are thrown away: what the picture costs has no say in what it shows.
+    By a pilot whose samples are thrown away: what the picture costs has no say in what it shows.
     """
-    film = bench.config.film
-    shape = (film.height, film.width)
-    slots = film.height * film.width
-    one = np.zeros((slots, 6), np.float32)
-    costs = []
+    one = np.zeros((len(bench.pixels), 6), np.float32)
+    costs: list[float] = []
     for i in range(3):
         began = time.process_time()
         bench.add_pass(PILOT_PASS + i, one)
         costs.append(time.process_time() - began)
         if sum(costs) > seconds / 4:
             break
-    passes = max(1, round(seconds / batches / max(min(costs), 1e-6)))
+    return seconds / max(min(costs), 1e-6)
+
+
+def measure(bench: Bench, label: str, passes: int, batches: int) -> Measured:
+    """Independent batches of `passes` passes each."""
+    film = bench.config.film
+    shape = (film.height, film.width)
+    slots = film.height * film.width
+    one = np.zeros((slots, 6), np.float32)
     means = np.zeros((batches, *shape, 3))
     caustic, rays, nonfinite, slowest, spent = 0.0, 0, 0, 0.0, 0.0
     for b in range(batches):

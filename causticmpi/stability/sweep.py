@@ -11,7 +11,7 @@ import numpy as np
 
 from causticmpi.errors import InputError
 from causticmpi.scene.load import load_scene
-from causticmpi.stability.cell import Measured, config_for, measure, set_up
+from causticmpi.stability.cell import Measured, config_for, measure, passes_within, set_up
 from causticmpi.stability.judge import Row, judge, refused, seen_caustic
 from causticmpi.stability.lies import LIES
 from causticmpi.stability.records import Page, Sweep, Value
@@ -55,7 +55,7 @@ def measure_point(page: Page, place: Path, out: Path, index: int, scale: float) 
     for i, contender in enumerate(page.contenders):
         settings = {**page.set, **_config_value(page.sweep, value), **contender.set}
         try:
-            found.append(_one(page, contender.label, file, settings, SEED + i, page.seconds * scale, lie))
+            found.append(_one(page, contender.label, file, settings, SEED + i, scale, lie))
         except (InputError, ValueError, RuntimeError) as error:
             failed[contender.label] = str(error)
     return Point(index, found, [] if rivals_are_common(page) else _rivals(page, file, RIVAL_SECONDS, scale), failed)
@@ -68,17 +68,21 @@ def measure_rivals(page: Page, place: Path, out: Path, scale: float) -> list[Mea
 
 def _rivals(page: Page, file: Path, factor: float, scale: float) -> list[Measured]:
     return [
-        _one(page, rival.label, file, {**page.set, **rival.set}, RIVAL_SEED + i, factor * page.seconds * scale)
+        _one(page, rival.label, file, {**page.set, **rival.set}, RIVAL_SEED + i, factor * scale)
         for i, rival in enumerate(page.truth.rivals)
     ]
 
 
 def _one(
-    page: Page, label: str, file: Path, settings: Mapping[str, Any], seed: int, seconds: float, lie: str = "none"
+    page: Page, label: str, file: Path, settings: Mapping[str, Any], seed: int, share: float, lie: str = "none"
 ) -> Measured:
     bench = set_up(file, config_for(page.side, seed, settings), lie)
     try:
-        return measure(bench, label, seconds, page.batches)
+        if page.batch_passes is None:
+            passes = passes_within(bench, page.seconds * share) / page.batches
+        else:
+            passes = page.batch_passes * share
+        return measure(bench, label, max(1, round(passes)), page.batches)
     finally:
         bench.close()
 
