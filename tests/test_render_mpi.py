@@ -181,6 +181,9 @@ def test_without_a_specular_surface_nothing_is_forecast(tmp_path: Path) -> None:
     render_mpi(2, tmp_path / "out", "--spp", "2", config=config)
     report = read_report(tmp_path / "out")
     assert [report["seconds"][stage] for stage in ("photons", "clustering", "trees")] == [0, 0, 0]
-    assert report["forecast"] == {"photons": 0, "particles": 0, "search_radius": None} and report["warnings"] == []
+    assert (
+        report["forecast"] == {"photons": 0, "particles": 0, "search_radius": None, "plan": None}
+        and report["warnings"] == []
+    )
     layers, _ = read_layers(tmp_path / "out")
     assert not rgb(layers, "caustic.").any() and rgb(layers).max() > 0.1

@@ -161,7 +161,9 @@ def test_paths_against_brute_force(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("sampling", SAMPLINGS)
 @pytest.mark.parametrize("bound", [0.05, 50.0])
 def test_gloss_at_any_bound(bound: float, sampling: str, tmp_path: Path) -> None:
-    assert_agree(case("satin and gloss", tmp_path), ("iws+cf", 1000), ("pt", 4000), sampling=sampling, bound=bound)
+    """Many passes and coarse blocks: through gloss a caustic path is rare and bright, and 1000 passes miss some."""
+    scene = case("satin and gloss", tmp_path)
+    assert_agree(scene, ("iws+cf", 6000), ("pt", 12000), blocks=2, sampling=sampling, bound=bound)
 
 
 @pytest.mark.parametrize("sampling", SAMPLINGS)
