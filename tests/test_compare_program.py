@@ -91,6 +91,18 @@ def test_a_finished_comparison_repeats_nothing(compared: Path) -> None:
     assert finished(compared / "out") == before
 
 
+def test_a_single_scene_writes_no_report(compared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What a job of an array does: the runs of its scene that are missing, and nothing else."""
+    shutil.copytree(compared, tmp_path, dirs_exist_ok=True)
+    config, out = str(write_config(tmp_path)), tmp_path / "out"
+    (out / "report.html").unlink()
+    (out / "runs" / "cornell" / "pt" / "0.8s-1" / "finished.json").unlink()
+    assert main(["compare", config, "--scene", "2"]) == 2
+    assert "found scene 2; allowed: 1 to 1" in capsys.readouterr().err
+    assert main(["compare", config, "--scene", "1"]) == 0
+    assert len(finished(out)) == 5 and not (out / "report.html").exists()
+
+
 def test_changed_runs_are_repeated_and_the_others_kept(compared: Path, tmp_path: Path) -> None:
     shutil.copytree(compared, tmp_path, dirs_exist_ok=True)
     config = write_config(

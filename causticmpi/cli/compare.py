@@ -29,5 +29,6 @@ def compare(arguments: argparse.Namespace, argv: Sequence[str]) -> int:
             ("causticmpi", *argv),
             references_only=arguments.references,
             more=[Path(directory) for directory in arguments.show],
+            scene=arguments.scene,
         ),
     )

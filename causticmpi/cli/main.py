@@ -45,6 +45,7 @@ def build_parser() -> argparse.ArgumentParser:
     _common(compare)
     compare.add_argument("--out", metavar="DIR", help="output directory")
     compare.add_argument("-j", dest="ranks", metavar="RANKS", type=int, default=1, help="start this many ranks here")
+    compare.add_argument("--scene", metavar="N", type=int, help="the runs of the Nth scene alone, and no report")
     compare.add_argument("--references", action="store_true", help="make the references that are missing, nothing else")
     compare.add_argument(
         "--show", metavar="DIR", action="append", default=[], help="put the PNGs of this directory into the report"

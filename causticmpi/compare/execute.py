@@ -201,7 +201,7 @@ def _expected(task: Task) -> float:
 def _leave_word(plan: Plan, signal: int) -> None:
     """The file that tells a batch script to start the comparison again, there exactly while it is unfinished."""
     plan.directory.mkdir(parents=True, exist_ok=True)
-    path = plan.directory / UNFINISHED
+    path = plan.directory / (UNFINISHED if plan.scene is None else f"{UNFINISHED}-{plan.scene}")
     if signal:
         write_whole(path, lambda file: file.write_text(f"stopped by signal {signal}\n"))
     else:

@@ -1,10 +1,11 @@
 """What a comparison will do, as plain data: parts, and the runs of each."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from causticmpi.compare.records import CompareConfig, Scene
 from causticmpi.config.records import RenderConfig
+from causticmpi.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -44,16 +45,25 @@ class Part:
 
 @dataclass(frozen=True)
 class Plan:
-    """All that a comparison will do. `directory`: its output; `references`: where references are kept."""
+    """All that a comparison will do. `directory`: its output; `references`: where references are kept; `scene`: number
+    of the only scene it is about, if there is one."""
 
     config: CompareConfig
     file: Path
     directory: Path
     references: Path
     parts: tuple[Part, ...]
+    scene: int | None = None
 
     @property
     def runs(self) -> list[Run]:
         """All runs, in the order in which they are made: seed by seed, so that an early stop leaves whole sets."""
         every = [run for part in self.parts for run in part.runs]
         return sorted(every, key=lambda run: run.seed)
+
+
+def only_scene(plan: Plan, scene: int) -> Plan:
+    """The plan of one scene, by its number from 1. Raises InputError if there is none."""
+    if not 1 <= scene <= len(plan.parts):
+        raise InputError(f"found scene {scene}; allowed: 1 to {len(plan.parts)}, in the order of the config", plan.file)
+    return replace(plan, parts=(plan.parts[scene - 1],), scene=scene)

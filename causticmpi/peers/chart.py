@@ -33,7 +33,7 @@ def chart(scenes: Mapping[str, Sequence[Point]]) -> "Figure":
             panel.grid(True, which="major", color="#dddddd", linewidth=0.8)
             panel.set_axisbelow(True)
             plain_ticks(panel)
-    figure.legend(lines.values(), lines.keys(), loc="outside right upper", fontsize=9, frameon=False)
+    figure.legend(lines.values(), lines.keys(), loc="outside lower center", ncols=4, fontsize=9, frameon=False)
     return figure
 
 

@@ -122,12 +122,12 @@ def misplaced(file: Path, reference: ReferencePicture) -> str:
 
 
 def averaged(points: Sequence[Point]) -> list[Point]:
-    """Medians over the seeds, one point for each contender and budget, in the order given."""
-    groups: dict[tuple[str, float], list[Point]] = {}
+    """Medians over the seeds, one point for each contender, in the order given, and budget, rising."""
+    groups: dict[str, dict[float, list[Point]]] = {}
     for point in points:
-        groups.setdefault((point.contender.name, point.budget), []).append(point)
+        groups.setdefault(point.contender.name, {}).setdefault(point.budget, []).append(point)
     found = []
-    for group in groups.values():
+    for group in (budgets[budget] for budgets in groups.values() for budget in sorted(budgets)):
         medians = {name: statistics.median(getattr(point, name) for point in group) for name in MEASURED}
         found.append(replace(group[0], **medians))
     return found
