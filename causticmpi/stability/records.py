@@ -24,9 +24,9 @@ class Room(Record):
 class Sweep(Record):
     """One parameter over values.
 
-    parameter: `scene.NAME` of the template, a key of the render config such as `iws.bound`, or `photons`, which tells
-    lies about the forecast's photons (`causticmpi.stability.lies`); name: for people; start: the value that a user
-    gets without asking, marked in the chart.
+    parameter: `scene.NAME` of the template, `scene` for scene files relative to the page, a key of the render config
+    such as `iws.bound`, or `photons`, which tells lies about the forecast's photons (`causticmpi.stability.lies`);
+    name: for people; start: the value that a user gets without asking, marked in the chart.
     """
 
     parameter: str
@@ -68,8 +68,8 @@ class Page(Record):
 
     title: str
     question: str
-    room: Room
     contenders: Annotated[list[Contender], Meta(min_length=1)]
+    room: Room | None = None
     kind: Literal["sweep", "long", "coverage", "until"] = "sweep"
     reads: Literal["rivals", "setting", "exact", "floor", "bounded", "lies"] = "rivals"
     sweep: Sweep | None = None

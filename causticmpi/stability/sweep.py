@@ -35,7 +35,11 @@ class Point:
 
 def rivals_are_common(page: Page) -> bool:
     """Whether the scene is one for all values, so that the rivals need to be measured once."""
-    return page.sweep is not None and not page.sweep.parameter.startswith("scene.")
+    return page.sweep is not None and not _is_of_scene(page.sweep)
+
+
+def _is_of_scene(sweep: Sweep) -> bool:
+    return sweep.parameter == "scene" or sweep.parameter.startswith("scene.")
 
 
 def measure_point(page: Page, place: Path, out: Path, index: int, scale: float) -> Point:
@@ -111,6 +115,9 @@ def _rows(page: Page, point: Point, rivals: Sequence[Measured], caustic: float) 
 
 def scene_file(page: Page, place: Path, out: Path, index: int) -> Path:
     """The scene of one cell, written for this value where it comes from a template."""
+    if page.room is None:
+        assert page.sweep is not None
+        return place / str(page.sweep.values[index])
     if page.room.template is None:
         assert page.room.file is not None
         return place / page.room.file
@@ -120,18 +127,30 @@ def scene_file(page: Page, place: Path, out: Path, index: int) -> Path:
 
 def _parameters(page: Page, index: int) -> dict[str, Any]:
     """Of the template at one value of the sweep."""
+    assert page.room is not None
     parameters = dict(page.room.set)
     if page.sweep is not None and page.sweep.parameter.startswith("scene."):
         parameters[page.sweep.parameter.removeprefix("scene.")] = _plain(page.sweep.values[index])
     return parameters
 
 
+def _check_room(page: Page, place: Path) -> None:
+    if page.room is None:
+        if page.sweep is None or page.sweep.parameter != "scene":
+            raise InputError("room: found none; allowed: none only where `sweep.parameter` is scene")
+        files = [str(value) for value in page.sweep.values]
+    else:
+        if (page.room.template is None) == (page.room.file is None):
+            raise InputError("room: found both or neither of template and file; allowed: one of them")
+        files = [] if page.room.file is None else [page.room.file]
+    for file in files:
+        if not (place / file).is_file():
+            raise InputError(f"room.file: found {file}, which does not exist; allowed: a scene file")
+
+
 def check_page(page: Page, place: Path) -> None:
     """Raises InputError for a page that could not be run: scene, parameter, settings of every contender."""
-    if (page.room.template is None) == (page.room.file is None):
-        raise InputError("room: found both or neither of template and file; allowed: one of them")
-    if page.room.file is not None and not (place / page.room.file).is_file():
-        raise InputError(f"room.file: found {page.room.file}, which does not exist; allowed: a scene file")
+    _check_room(page, place)
     if (page.sweep is None) != (page.kind != "sweep"):
         raise InputError(f"sweep: a page of kind {page.kind} {'needs' if page.sweep is None else 'has no'} sweep")
     labels = [c.label for c in page.contenders]
@@ -140,7 +159,7 @@ def check_page(page: Page, place: Path) -> None:
     for index, value in enumerate(page.sweep.values if page.sweep else [0.0]):
         if page.sweep and page.sweep.parameter == "photons" and value not in LIES:
             raise InputError(f'sweep.values: found "{value}"; allowed: {", ".join(LIES)}')
-        if page.room.template is not None:
+        if page.room is not None and page.room.template is not None:
             build(page.room.template, _parameters(page, index))
         for contender in (*page.contenders, *page.truth.rivals):
             settings = {**page.set, **_config_value(page.sweep, value), **contender.set}
@@ -153,7 +172,7 @@ def check_page(page: Page, place: Path) -> None:
 
 
 def _config_value(sweep: Sweep | None, value: Value) -> dict[str, Any]:
-    if sweep is None or sweep.parameter == "photons" or sweep.parameter.startswith("scene."):
+    if sweep is None or sweep.parameter == "photons" or _is_of_scene(sweep):
         return {}
     return {sweep.parameter: _plain(value)}
 
