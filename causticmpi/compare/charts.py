@@ -41,7 +41,7 @@ def error_chart(result: PartResult, palette: Mapping[str, str], against: str) ->
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     # Padding in inches: a panel's title must not touch the axis above it.
-    figure = Figure(figsize=(13, 7.6), layout=ConstrainedLayoutEngine(h_pad=0.12))
+    figure = Figure(figsize=(13, 9.6), layout=ConstrainedLayoutEngine(h_pad=0.12))
     panels = figure.subplots(2, 3)
     for panel, (metric, name) in zip(panels.flat, CURVES.items(), strict=True):
         for group in result.longest:
@@ -52,10 +52,8 @@ def error_chart(result: PartResult, palette: Mapping[str, str], against: str) ->
             _guide(panel)
         panel.grid(True, which="major", color="#dddddd", linewidth=0.8)
         panel.set_axisbelow(True)
-        low, high = panel.get_ylim()
-        panel.set_ylim(low * (low / high) ** 0.35, high)  # curves fall: the lower left is free for the legend
         plain_ticks(panel)
-        panel.legend(fontsize=8, loc="lower left", framealpha=0.85, edgecolor="none")
+        panel.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2, edgecolor="none")
     axis = "time" if against == "seconds" else "passes"
     figure.suptitle(
         f"{result.part.title}: error against {axis}, budget {result.longest[0].seconds:g} s, "
