@@ -110,7 +110,7 @@ class SlurmLab:
             "JobCompType": "jobcomp/filetxt", "JobCompLoc": f"{self.folder}/log/finished-jobs",
             "SelectType": "select/cons_tres", "SelectTypeParameters": "CR_CPU", "SlurmdParameters": "config_overrides",
             "CommunicationParameters": "NoInAddrAny,NoCtldInAddrAny",
-            "SchedulerParameters": "sched_interval=2,bf_interval=2,batch_sched_delay=0",
+            "SchedulerParameters": "sched_interval=2,bf_interval=2,batch_sched_delay=0,kill_invalid_depend",
             "KillWait": 20, "MinJobAge": 3600, "ReturnToService": 2, "MessageTimeout": 30, "JobRequeue": 1,
         }  # fmt: skip
         text = "".join(f"{name}={value}\n" for name, value in lines.items())
