@@ -9,7 +9,10 @@ export PROGRAM # for slurm/rank
 # The MPI that pip brought along comes with its own launcher, which asks SLURM for the nodes and places the ranks. A
 # cluster's MPI is started by srun; -K1: when one rank dies the others end too; pmi2: what the MPICH ABI speaks.
 brought=$(dirname -- "$PROGRAM")/mpiexec
-if [ -z "${LAUNCH:-}" ] && [ -x "$brought" ]; then LAUNCH=$brought; fi
+if [ -z "${LAUNCH:-}" ] && [ -x "$brought" ]; then
+    LAUNCH=$brought
+    export SLURM_CPU_BIND=none # or its helper, one a node, would keep all ranks of the node on its own core
+fi
 LAUNCH=${LAUNCH:-srun -K1 --mpi=pmi2}
 
 tell_until_gone() {
@@ -26,7 +29,8 @@ run_to_the_end() { # FILE COMMAND...: runs ranks by a command, which leaves the 
     while wait "$step"; code=$?; kill -0 "$step" 2> /dev/null; do :; done # a signal to this shell ends `wait` early
     if [ -n "$requeue" ] && [ "$code" -eq 0 ] && [ -e "$file" ]; then
         echo "$(date '+%F %T') $file: back into the queue"
-        scontrol requeue "$SLURM_JOB_ID"
+        # By its place in the array, if it is of one: the number of an array's last job means the whole array.
+        scontrol requeue "${SLURM_ARRAY_JOB_ID:-$SLURM_JOB_ID}${SLURM_ARRAY_TASK_ID:+_$SLURM_ARRAY_TASK_ID}"
         sleep 60 # SLURM ends this shell; its exit would be taken for the end of the job
     fi
     exit "$code"
