@@ -270,3 +270,17 @@ def test_known_bad_rules_show(rule: Callable[[np.ndarray], float], least: float)
     found, error = bias(rule, 14)
     assert abs(found) > abs(least) and found * least > 0
     assert abs(found) > CERTAIN * error
+
+
+def test_writing_that_takes_longer_than_thought_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The clock of tracing stands still meanwhile, that of the budget does not."""
+    now = [100.0]
+    monkeypatch.setattr(budget_clock.time, "monotonic", lambda: now[0])
+    clock = BudgetClock(None)
+    clock.start(5.0)
+    clock.for_tracing, clock.end = 40.0, 60.0
+    with clock.standing_still():
+        now[0] += 54.0
+    assert clock.tracing() == 0 and not clock.is_over()
+    now[0] += 2.0
+    assert clock.tracing() == 2 and clock.is_over()

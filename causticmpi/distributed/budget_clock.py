@@ -16,7 +16,8 @@ class BudgetClock:
     """Seconds of the run on this rank; before `start` there are none.
 
     written_for: spent on writing between rounds; tracing_kept: on rounds that were merged; preparing: before the first
-    round of each start; before_tracing: of the run when this start's rounds began. for_tracing: may be spent on rounds.
+    round of each start; before_tracing: of the run when this start's rounds began. for_tracing: may be spent on rounds;
+    end: of the run, by which rounds are over even if writing took more than it was thought to.
     """
 
     def __init__(self, before: State | None) -> None:
@@ -24,7 +25,7 @@ class BudgetClock:
         self.written_for = before.writing if before is not None else 0.0
         self.tracing_kept = before.tracing if before is not None else 0.0
         self.preparing = self.before_tracing = 0.0
-        self.for_tracing = math.inf
+        self.for_tracing = self.end = math.inf
 
     def start(self, elapsed: float) -> None:
         """Rounds begin. elapsed: seconds of the run until now, by rank 0's watch."""
@@ -48,7 +49,7 @@ class BudgetClock:
 
     def is_over(self) -> bool:
         """Whether the time for tracing is spent."""
-        return self.tracing() > self.for_tracing
+        return self.tracing() > self.for_tracing or self.elapsed() > self.end
 
     @contextlib.contextmanager
     def standing_still(self) -> Iterator[None]:

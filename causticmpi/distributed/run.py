@@ -153,6 +153,8 @@ class Run:
         self.world.barrier()  # rank 0 would not wait: who comes late to the broadcast would be late ever after
         self.clock.start(self.world.broadcast(self.watch.elapsed()))
         self.clock.for_tracing = self.world.broadcast(self._time_for_tracing() if self.world.is_root else None)
+        if self.limit is not None:
+            self.clock.end = self.limit - self.reserve
 
     def _time_for_tracing(self) -> float:
         keeper = self.recorder.keeper
