@@ -116,9 +116,8 @@ class Recorder:
         packets, kinds = self.take()
         if count == MOST_SINGLE or len(kinds) == MOST_PACKETS:
             raise RuntimeError(f"more rays of {name} than there is room for")
-        return {
-            f"{name}_{part}": array for part, array in zip(QUERIES, (packets, kinds, single, single_kinds), strict=True)
-        }
+        found: list[np.ndarray] = [packets, kinds, single, single_kinds]
+        return {f"{name}_{part}": array for part, array in zip(QUERIES, found, strict=True)}
 
 
 def main(config_file: str, out: str) -> None:
