@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from mpi_tools import run_mpi
-from program_tools import main, run_program, tree
+from program_tools import PATIENCE, main, run_program, tree
 
 SCENE = """\
 camera: {eye: [0, 0, 4], target: [0, 0, 0]}
@@ -176,7 +176,7 @@ def test_bad_input_of_the_program(tmp_path: Path) -> None:
 def test_bad_input_under_mpirun(name: str, tmp_path: Path) -> None:
     words = spoil(BAD[name], tmp_path)
     before = tree(tmp_path)
-    done = run_mpi(3, ["-m", "causticmpi", *words], timeout=30)
+    done = run_mpi(3, ["-m", "causticmpi", *words], timeout=PATIENCE)
     assert_refused(BAD[name], done.returncode, done.stderr, before, tmp_path)
 
 

@@ -84,7 +84,7 @@ def test_check_speaks_once_under_mpirun() -> None:
     require_mpi()
     done = run_mpi(3, ["-m", "causticmpi", "check", str(CORNELL)], timeout=PATIENCE)
     assert done.returncode == 0 and done.stdout.count("sound") == 1, done.stdout + done.stderr
-    done = run_mpi(3, ["-m", "causticmpi", "check", str(CORNELL), "--set", "sed=1"], timeout=30)
+    done = run_mpi(3, ["-m", "causticmpi", "check", str(CORNELL), "--set", "sed=1"], timeout=PATIENCE)
     assert done.returncode == 2 and done.stderr.count("\n") == 1 and 'did you mean "seed"?' in done.stderr, done.stderr
 
 

@@ -14,8 +14,9 @@ from program_tools import PATIENCE, compile_kernels, main, read_layers, read_rep
 
 from causticmpi.distributed.launch import launcher_family
 
-END = 10
-"""Seconds within which a broken or stopped run has to be gone."""
+END = 60
+"""Seconds within which a broken or stopped run has to be gone: it would go on for ever, and others may keep the cores
+busy."""
 ENDLESS = ("--spp", "10000000", "--set", "output.interval=0.2")
 
 

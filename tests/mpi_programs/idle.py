@@ -19,7 +19,7 @@ def main() -> None:
                 time.sleep(seconds)
             wait()
             world.barrier()
-            assert time.monotonic() - wall > 0.9 * seconds, "nobody waited"
+            assert time.monotonic() - wall > 0.5 * seconds, "nobody waited"  # a busy machine starts some late
             spent = world.gather(time.process_time() - start)
             if spent is not None:
                 say("cpu", *spent)
