@@ -11,6 +11,7 @@ from causticmpi.config.records import Film, RenderConfig
 from causticmpi.distributed.clock import Stopwatch
 from causticmpi.distributed.prepare import prepare_method, share_scene
 from causticmpi.distributed.world import SerialWorld
+from causticmpi.output.picture import RELMSE_FLOOR
 from causticmpi.render import pilot
 from causticmpi.scene.load import load_scene
 from causticmpi.scene.tracing import camera_array
@@ -35,30 +36,30 @@ def trial(
 
 def test_light_paths_where_error_times_cost_is_least() -> None:
     plain = trial(100.0, 0.0, 20.0, 0.0)
-    plan = pilot.choose(trial(1.0, 4.0, 20.0, 5.0), plain, 0.5)
+    plan = pilot.choose(trial(1.0, 4.0, 20.0, 5.0), plain, 0.5, RELMSE_FLOOR)
     assert not plan.plain and plan.paths_per_pixel == pytest.approx(0.5 * 4.0)
 
     def score(more: float) -> float:
-        return (1.0 + 4.0 / more) * (20.0 + 5.0 * more) / (1 + pilot.FLOOR)
+        return (1.0 + 4.0 / more) * (20.0 + 5.0 * more) / (1 + RELMSE_FLOOR)
 
     assert plan.forecast_score == pytest.approx(score(4.0))
     assert score(4.0) < min(score(3.0), score(5.0))
     hopeless = trial(1e12, 0.0, 20.0, 0.0)
-    assert pilot.choose(trial(1.0, 1e9, 20.0, 5.0), hopeless, 0.5).paths_per_pixel == pilot.MOST_PATHS
-    assert pilot.choose(trial(1.0, 0.0, 20.0, 0.0), plain, 0.0).paths_per_pixel == 0
+    assert pilot.choose(trial(1.0, 1e9, 20.0, 5.0), hopeless, 0.5, RELMSE_FLOOR).paths_per_pixel == pilot.MOST_PATHS
+    assert pilot.choose(trial(1.0, 0.0, 20.0, 0.0), plain, 0.0, RELMSE_FLOOR).paths_per_pixel == 0
 
 
 def test_plain_sampling_is_chosen_where_it_pays_and_sees() -> None:
     forecast = trial(1.0, 1.0, 20.0, 20.0)
-    assert pilot.choose(forecast, trial(1.0, 0.0, 20.0, 0.0), 1.0).plain
-    assert not pilot.choose(forecast, trial(3.5, 0.0, 20.0, 0.0), 1.0).plain
+    assert pilot.choose(forecast, trial(1.0, 0.0, 20.0, 0.0), 1.0, RELMSE_FLOOR).plain
+    assert not pilot.choose(forecast, trial(3.5, 0.0, 20.0, 0.0), 1.0, RELMSE_FLOOR).plain
     caustic = np.stack([np.full(BLOCKS, 1.0), np.full(BLOCKS, 0.01)])
     caustic[0, 1, 2] = 0.9  # one block is darker by 10 of its standard deviations
-    assert not pilot.choose(forecast, trial(1.0, 0.0, 20.0, 0.0, caustic), 1.0).plain
+    assert not pilot.choose(forecast, trial(1.0, 0.0, 20.0, 0.0, caustic), 1.0, RELMSE_FLOOR).plain
     caustic[0, 1, 2] = 1.1  # brighter is no sign of blindness
-    assert pilot.choose(forecast, trial(1.0, 0.0, 20.0, 0.0, caustic), 1.0).plain
+    assert pilot.choose(forecast, trial(1.0, 0.0, 20.0, 0.0, caustic), 1.0, RELMSE_FLOOR).plain
     caustic[1] = 8.0  # the whole is not known to a tenth
-    assert not pilot.choose(forecast, trial(1.0, 0.0, 20.0, 0.0, caustic), 1.0).plain
+    assert not pilot.choose(forecast, trial(1.0, 0.0, 20.0, 0.0, caustic), 1.0, RELMSE_FLOOR).plain
 
 
 def config_of(scene: Path, *settings: str) -> RenderConfig:

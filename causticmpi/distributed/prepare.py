@@ -10,6 +10,7 @@ from causticmpi.distributed.clock import Stopwatch
 from causticmpi.distributed.world import World
 from causticmpi.kernels.embree import EmbreeScene, ray_buffer
 from causticmpi.kernels.traced_scene import TracedScene
+from causticmpi.output.picture import RELMSE_FLOOR
 from causticmpi.preprocess.aim import emission_aim
 from causticmpi.preprocess.forecast import ClusterStatistics, ForecastMaps, build_forecast, no_forecast
 from causticmpi.preprocess.guides import Guides, learn_guides, no_guides
@@ -104,7 +105,7 @@ def _prepare_plan(
     plan = None
     if world.is_root:
         with watch.stage("pilot"):
-            plan = run_pilot(config, scene.data, scene.traced, made.maps, scene.extent, made.guides)
+            plan = run_pilot(config, scene.data, scene.traced, made.maps, scene.extent, made.guides, RELMSE_FLOOR)
     shared: Plan = world.broadcast(plan)
     return shared
 

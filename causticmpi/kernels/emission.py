@@ -12,9 +12,7 @@ import numpy as np
 from causticmpi.kernels import particles, vec, warp
 from causticmpi.kernels.jit import inline
 from causticmpi.kernels.traced_scene import OFFSET, light_point, pick_light
-from causticmpi.kernels.vec import ONE, ZERO
-
-ALMOST_ONE = np.float32(0.99999994)
+from causticmpi.kernels.vec import ALMOST_ONE, ONE, ZERO
 
 
 class EmissionGuide(NamedTuple):

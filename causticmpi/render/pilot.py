@@ -28,8 +28,6 @@ PIXELS = 8192
 PASSES = 16
 FIRST_PASS = 2**40
 """No picture gets as far: the passes of a pilot are others than those of the run."""
-FLOOR = 0.01
-"""Of the relative squared error, as in every table."""
 FORECAST_RAY, LIGHT_RAY = 1.6, 3.2
 """CPU time of a ray with its share of gathering, tables and splats, over that of a ray sampled plainly: medians of
 1.3 to 2.4 and 3 to 4 on cornell, ring, pool and figurines."""
@@ -96,9 +94,15 @@ def needs_pilot(config: RenderConfig, maps: ForecastMaps) -> bool:
 
 
 def run_pilot(
-    config: RenderConfig, data: SceneData, scene: TracedScene, maps: ForecastMaps, extent: float, guides: Guides
+    config: RenderConfig,
+    data: SceneData,
+    scene: TracedScene,
+    maps: ForecastMaps,
+    extent: float,
+    guides: Guides,
+    floor: float,
 ) -> Plan:
-    """Try all ways on the same small picture. Of the film's size, not of its crop."""
+    """Try both ways on the same small picture, of the film's shape, not of its crop's. floor: of the relative error."""
     small = msgspec.structs.replace(config, film=small_film(config.film))
     camera = camera_array(data.camera, small.film.width, small.film.height)
 
@@ -108,7 +112,7 @@ def run_pilot(
     if not config.forecast.light_tracing:
         guides = guides._replace(paths_per_pixel=0.0)
     forecast = try_way(maps, guides, FORECAST_RAY)
-    return choose(forecast, try_way(no_forecast(), guides, 1.0), guides.paths_per_pixel)
+    return choose(forecast, try_way(no_forecast(), guides, 1.0), guides.paths_per_pixel, floor)
 
 
 def small_film(film: Film) -> Film:
@@ -117,10 +121,11 @@ def small_film(film: Film) -> Film:
     return Film(width=max(1, int(film.width * shrink)), height=max(1, int(film.height * shrink)))
 
 
-def choose(forecast: Trial, plain: Trial, paths_per_pixel: float) -> Plan:
-    """The way of less error times cost; paths_per_pixel: what `forecast` was tried with, the best number is found."""
+def choose(forecast: Trial, plain: Trial, paths_per_pixel: float, floor: float) -> Plan:
+    """The way of less error times cost; paths_per_pixel: what `forecast` was tried with, the best number is found;
+    floor: of the relative squared error [radiance^2]."""
     level = (forecast.mean + plain.mean) / 2
-    weight = 1 / (level * level + FLOOR)
+    weight = 1 / (level * level + floor)
     eye = _error(forecast.eye, forecast.eye_squares, weight)
     light = _error(forecast.light, forecast.light_squares, weight)
     more = 1.0
