@@ -213,6 +213,41 @@ def test_shares_cover_every_tile_once(size: int) -> None:
     assert [s.last for s in divide(0, 40, 100, 2)[:25]] == [1600] * 25  # whole passes while there are plenty
 
 
+class Crowded:
+    """A method whose every call waits a second for others, and whose first ones are dear. `cpu`, `wall`: the clocks."""
+
+    light_paths = 6400
+
+    def __init__(self) -> None:
+        self.cpu = self.wall = 0.0
+        self.known: set[str] = set()
+
+    def _spend(self, what: str, seconds: float) -> int:
+        spent = seconds + (0.0 if what in self.known else 5.0)
+        self.known.add(what)
+        self.cpu += spent
+        self.wall += spent + 1.0
+        return 1
+
+    def begin_pass(self, pass_index: int) -> int:
+        return self._spend("begin", 0.25)
+
+    def trace(self, pixels: np.ndarray, film: np.ndarray) -> int:
+        return self._spend("trace", 1e-5 * len(pixels))
+
+    def trace_light(self, pass_index: int, first: int, last: int, film: np.ndarray) -> int:
+        return self._spend("light", 1e-4 * (last - first))
+
+
+def test_the_pilot_counts_neither_waiting_nor_first_calls(monkeypatch: pytest.MonkeyPatch) -> None:
+    method = Crowded()
+    monkeypatch.setattr("causticmpi.render.rounds.time.process_time", lambda: method.cpu)
+    monkeypatch.setattr("causticmpi.render.rounds.time.perf_counter", lambda: method.wall)
+    batches = Batches(method, np.zeros((16 * 4000, 4), np.int32), 4)
+    assert batches.pilot_seconds() == pytest.approx(0.25 + 1e-5 * 16 * 4000 + 1e-4 * 6400)
+    assert not batches.pass_film.any() and not batches.light_film.any()
+
+
 class Idle:
     """A method that does nothing but note the rows it was asked for."""
 

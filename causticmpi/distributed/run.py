@@ -135,15 +135,15 @@ class Run:
                     self._merge_and_write(picture, checkpoint)
 
     def _round_length(self) -> int:
-        """Collective. Passes of every round, from a pilot on all ranks at once; a resumed run keeps to what it had, for
-        the length must not hang on the cost of rounds before."""
+        """Collective. Passes of every round, from a pilot on all ranks at once: its CPU time, times the ranks that
+        share a core. A resumed run keeps to what it had, for the length must not hang on the cost of rounds before."""
         if self.state is not None:
             return self.state.round_passes
         crowd = self.world.all_max(-(-self.world.node_size // (os.cpu_count() or 1)))
         aim = ROUND_SECONDS * crowd if self.limit is None else max(0.05, min(ROUND_SECONDS * crowd, self.limit / 30))
         self.world.barrier()
         slowest = self.world.all_max(int(1e6 * self.batches.pilot_seconds()))
-        return equal_round(slowest / 1e6, aim, self.world.size)
+        return equal_round(crowd * slowest / 1e6, aim, self.world.size)
 
     def _start_the_clock(self) -> None:
         """Collective. The time left is divided into tracing and the writing of progressive pictures.

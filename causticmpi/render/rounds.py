@@ -78,6 +78,13 @@ PILOT_LIGHT = 32
 """The pilot takes this part of the light paths."""
 
 
+def _cpu_seconds(work: Callable[..., int], *args: object) -> float:
+    """CPU seconds of this process that `work` takes."""
+    began = time.process_time()
+    work(*args)
+    return time.process_time() - began
+
+
 class Batches:
     """Traces shares in batches of about BATCH_SECONDS. The size of a batch follows the clock, the samples do not."""
 
@@ -95,21 +102,27 @@ class Batches:
         """CPU seconds of this process when the first round began; None before."""
 
     def pilot_seconds(self) -> float:
-        """What a pass costs here, from tiles spread over the picture in a pass of no picture."""
+        """CPU seconds of a pass here, from tiles spread over the picture in a pass of no picture.
+
+        Not by the wall clock: on a crowded core a pilot of milliseconds waits for the pilots of all others. What only
+        a first call costs is left out, for it would be taken a hundredfold.
+        """
         tiles = self.pixels.reshape(-1, 16, self.pixels.shape[1])
-        some = tiles[:: max(1, len(tiles) // PILOT_TILES)]
-        began = time.perf_counter()
+        some = np.ascontiguousarray(tiles[:: max(1, len(tiles) // PILOT_TILES)])
+        self.pass_film[:] = 0  # its pages come into being
         self.method.begin_pass(PILOT_PASS)
-        beginning = time.perf_counter() - began
-        self.method.trace(np.ascontiguousarray(some.reshape(-1, self.pixels.shape[1])), self.pass_film)
+        self.method.trace(some[0], self.pass_film)
+        beginning = _cpu_seconds(self.method.begin_pass, PILOT_PASS)
+        rows = some.reshape(-1, self.pixels.shape[1])
+        seconds = beginning + _cpu_seconds(self.method.trace, rows, self.pass_film) * len(tiles) / len(some)
         self.pass_film[:] = 0
-        seconds = beginning + (time.perf_counter() - began - beginning) * len(tiles) / len(some)
         paths = self.method.light_paths // PILOT_LIGHT
         if paths > 0:
-            began = time.perf_counter()
-            self.method.trace_light(PILOT_PASS, 0, paths, self.light_film)
             self.light_film[:] = 0
-            seconds += (time.perf_counter() - began) * self.method.light_paths / paths
+            self.method.trace_light(PILOT_PASS, 0, 1, self.light_film)
+            per_part = _cpu_seconds(self.method.trace_light, PILOT_PASS, 0, paths, self.light_film)
+            seconds += per_part * self.method.light_paths / paths
+            self.light_film[:] = 0
         return seconds
 
     def trace(self, shares: Iterable[Share], pending: Film, stop: Callable[[], bool]) -> bool:
