@@ -107,10 +107,10 @@ def verdict(samples: Samples, seconds: float, compared: Path) -> bool:
         return False
     moved, together = held / held[0] - 1, held.sum(axis=1)
     slope = np.polyfit(np.arange(len(held)) / 60, together, 1)[0] / together[0]
-    print(f"memory that ranks hold (least of each minute's samples), {len(settled)} samples in {len(held)} minutes: each "
-          f"moved by {100 * moved.min():+.2f} to {100 * moved.max():+.2f} %, all together by "
-          f"{100 * (together.min() / together[0] - 1):+.2f} to {100 * (together.max() / together[0] - 1):+.2f} %, trend "
-          f"{100 * slope:+.2f} % an hour")  # fmt: skip
+    print(f"memory that ranks hold (least of each minute's samples), {len(settled)} samples in {len(held)} minutes:\n"
+          f"  each moved by {100 * moved.min():+.2f} to {100 * moved.max():+.2f} %, all together by "
+          f"{100 * (together.min() / together[0] - 1):+.2f} to {100 * (together.max() / together[0] - 1):+.2f} %, "
+          f"trend {100 * slope:+.2f} % an hour")  # fmt: skip
     peak = max(max(memory[pid] / least - 1 for pid, least in zip(sorted(memory), held[0], strict=True))
                for _, memory in settled)  # fmt: skip
     print(f"highest single sample of a rank, buffers that come and go included: {100 * peak:+.2f} %")
