@@ -197,6 +197,8 @@ def test_gloss_is_left_to_the_forecast(open_scene: SceneData) -> None:
     assert rays > method.light_paths
     right = light.reshape(16, 16, 3)[:, 9:]
     assert light.sum() > 0 and right.sum() < 0.02 * light.sum()  # the right half of the floor is glossy
+    with pytest.raises(ValueError, match="1 slots for the 256 pixels"):  # whatever a kernel hit beyond it would break
+        method.trace_light(0, 0, method.light_paths, light[:1])
     prepared.embree.close()
 
 

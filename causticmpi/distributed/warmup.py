@@ -1,6 +1,7 @@
 """Compile, or load from disk, every kernel of a method before the clock matters: once per node, the others asleep."""
 
 import numpy as np
+from msgspec.structs import replace
 
 from causticmpi.config.records import Camera, RenderConfig
 from causticmpi.distributed.world import SerialWorld
@@ -97,6 +98,7 @@ def warm_up(config: RenderConfig, root: bool, forecasting: bool) -> bool:
     from causticmpi.distributed.prepare import share_maps, share_scene
 
     before = compiled_anew(KERNELS)
+    config = replace(config, film=replace(config.film, width=4, height=4, crop=None))
     world = SerialWorld()
     scene = share_scene(world, tiny_scene())
     camera = camera_array(scene.data.camera, 4, 4)

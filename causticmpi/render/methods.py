@@ -59,70 +59,57 @@ def whole_pass(method: Method, pass_index: int, pixels: np.ndarray, film: np.nda
     return rays
 
 
-@dataclass
-class PathTracing:
-    """`pt`."""
+@dataclass(kw_only=True)
+class EyePaths:
+    """What all methods share, and what most of them do: begin a pass without work, and trace no light paths."""
 
     scene: TracedScene
     camera: np.ndarray
     seed: int
     pass_index: int = 0
     light_paths: int = 0
+
+    def begin_pass(self, pass_index: int) -> int:
+        self.pass_index = pass_index
+        return 0
+
+    def trace_light(self, pass_index: int, first: int, last: int, film: np.ndarray) -> int:
+        return 0
+
+
+@dataclass(kw_only=True)
+class PathTracing(EyePaths):
+    """`pt`."""
 
     def __post_init__(self) -> None:
         self.work, self.queues = path_work()
         specular = bool((self.scene.kind >= MIRROR).any())
         self.splits = np.array([FIRST_SPLIT, SECOND_SPLIT] if specular else [1, 1], np.int64)
 
-    def begin_pass(self, pass_index: int) -> int:
-        self.pass_index = pass_index
-        return 0
-
-    def trace_light(self, pass_index: int, first: int, last: int, film: np.ndarray) -> int:
-        return 0
-
     def trace(self, pixels: np.ndarray, film: np.ndarray) -> int:
         workspace = (self.work, self.queues, self.splits)
         return trace_paths(self.scene, self.camera, *workspace, pixels, self.seed, self.pass_index, film)
 
 
-@dataclass
-class BruteForce:
+@dataclass(kw_only=True)
+class BruteForce(EyePaths):
     """`pt-brute`."""
-
-    scene: TracedScene
-    camera: np.ndarray
-    seed: int
-    pass_index: int = 0
-    light_paths: int = 0
 
     def __post_init__(self) -> None:
         self.rays = ray_buffer()
-
-    def begin_pass(self, pass_index: int) -> int:
-        self.pass_index = pass_index
-        return 0
-
-    def trace_light(self, pass_index: int, first: int, last: int, film: np.ndarray) -> int:
-        return 0
 
     def trace(self, pixels: np.ndarray, film: np.ndarray) -> int:
         return trace_paths_brute(self.scene, self.camera, self.rays, pixels, self.seed, self.pass_index, film)
 
 
 @dataclass(kw_only=True)
-class VirtualLighting:
+class VirtualLighting(EyePaths):
     """What the methods of weak singularities share: virtual lights renewed every pass."""
 
-    scene: TracedScene
-    camera: np.ndarray
-    seed: int
     guides: Guides
     paths: int
     few: int
     bound: float
-    light_paths: int = 0
-    pass_index: int = 0
     lights: Any = None
     light_count: int = 0
 
@@ -141,9 +128,6 @@ class VirtualLighting:
                 self.light_count = count
                 return rays
             self.lights = empty_virtual_lights(2 * count)
-
-    def trace_light(self, pass_index: int, first: int, last: int, film: np.ndarray) -> int:
-        return 0
 
 
 @dataclass(kw_only=True)
@@ -176,6 +160,9 @@ class WeakSingularities(VirtualLighting):
         return rays
 
     def trace_light(self, pass_index: int, first: int, last: int, film: np.ndarray) -> int:
+        x0, y0, x1, y1 = self.window
+        if len(film) != (x1 - x0) * (y1 - y0):  # the kernel writes where the camera sees: past the end otherwise
+            raise ValueError(f"{len(film)} slots for the {(x1 - x0) * (y1 - y0)} pixels of the window {self.window}")
         rays: int = trace_light_paths(
             self.scene,
             self.camera,
@@ -219,15 +206,13 @@ def make_method(
 ) -> Method:
     """The configured method. maps: a photon map for `iws+pm`; extent: diagonal of the scene [scene units], for the
     automatic bound; guides: natural emission, and no light tracing, if there are none."""
+    common: dict[str, Any] = {"scene": scene, "camera": camera, "seed": config.seed}
     if config.method == "pt":
-        return PathTracing(scene, camera, config.seed)
+        return PathTracing(**common)
     if config.method == "pt-brute":
-        return BruteForce(scene, camera, config.seed)
+        return BruteForce(**common)
     guides = guides or no_guides()
-    common: dict[str, Any] = {
-        "scene": scene,
-        "camera": camera,
-        "seed": config.seed,
+    common |= {
         "guides": guides,
         "paths": config.iws.paths,
         "few": config.iws.deep_lights,

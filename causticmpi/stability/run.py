@@ -92,7 +92,7 @@ def _section(loaded: Loaded, results: dict[str, Any]) -> tuple[Section, int]:
     made, name = loaded.page, loaded.name
     if made.sweep is None:
         found = list(results.values())
-        image = Image(name, charts.as_png(show_runs.chart(made, found)), made.title)
+        image = Image(name, charts.as_png(show_runs.chart(found)), made.title)
         content: list[Table | Image] = [image, show_runs.table(name, made, found)]
         return Section(made.title, [made.question, runs.verdict(found)], content), 0
     rivals = results.pop("rivals", [])

@@ -68,7 +68,7 @@ def table(name: str, page: Page, results: Sequence[Result]) -> Table:
     return Table(name, f"{page.title}: all methods", columns, tuple(rows), note)
 
 
-def chart(page: Page, results: Sequence[Result]) -> "Figure":
+def chart(results: Sequence[Result]) -> "Figure":
     """What the runs did."""
     from matplotlib.figure import Figure
 
