@@ -15,7 +15,6 @@ from causticmpi.config.records import Box
 from causticmpi.errors import InputError
 from causticmpi.kernels import aim as kernel_aim
 from causticmpi.kernels import vec
-from causticmpi.kernels.embree import ray_buffer
 from causticmpi.preprocess.aim import SHARE, emission_aim
 from causticmpi.preprocess.photons import shoot_photons
 from causticmpi.scene.data import SceneData
@@ -138,7 +137,7 @@ def powers(scene: SceneData, aim: np.ndarray, batches: int, size: int) -> np.nda
     prepared = prepare(scene)
     found = []
     for seed in range(batches):
-        points, emitted, _ = shoot_photons(prepared.traced, ray_buffer(), seed, size, aim)
+        points, emitted, _ = shoot_photons(prepared.traced, seed, size, aim)
         found.append(points.power.sum(axis=0, dtype=np.float64) / emitted)
     prepared.embree.close()
     return np.array(found)

@@ -208,7 +208,7 @@ def test_radiance_not_scaled_at_refraction(tmp_path: Path, monkeypatch: pytest.M
     mutant(
         "estimators.path_specular",
         tmp_path,
-        ("ONE if reflects else eta * eta", "ONE"),
+        ("vec.scale(get3(work, at.THROUGHPUT, i), work[at.ETA2 + i])", "get3(work, at.THROUGHPUT, i)"),
     )
     made = mutant(
         "estimators.path_tracing",

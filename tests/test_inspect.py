@@ -78,7 +78,7 @@ def test_the_numbers_are_the_librarys(out: Path, found: Findings) -> None:
     assert told["scene"]["content_hash"] == scene.content_hash
     assert told["scene"]["primitives_by_material"] == {"diffuse": 12, "phong": 0, "mirror": 1, "dielectric": 1}
     traced, paths = prepare(scene).traced, config.iws.paths
-    points, emitted, _ = shoot_photons(traced, ray_buffer(), config.seed, 3000)
+    points, emitted, _ = shoot_photons(traced, config.seed, 3000)
     assert (told["caustic_points"]["found"], told["caustic_points"]["particles"]) == (len(points.power), emitted)
     lights, kinds = empty_virtual_lights(1000), []
     for index in range(told["virtual_lights"]["passes"]):

@@ -3,14 +3,20 @@
 import math
 
 import naive
+import numba
 import numpy as np
 import pytest
 from rendering import REPOSITORY, prepare, scene_from
 from test_embree import hits
 
 from causticmpi.distributed.prepare import PreparedScene
+from causticmpi.kernels import particles, rng, vec
+from causticmpi.kernels.aim import NATURAL, emission
 from causticmpi.kernels.embree import ray_buffer
 from causticmpi.kernels.material_kinds import MIRROR
+from causticmpi.kernels.particle_waves import GROUP
+from causticmpi.kernels.traced_scene import light_point, pick_light
+from causticmpi.preprocess import photons
 from causticmpi.preprocess.photons import MOST_PARTICLES_PER_PHOTON, CausticPoints, shoot_photons
 from causticmpi.scene.load import load_scene
 
@@ -39,7 +45,7 @@ def periscope(folder, floor: float = 0, ceiling: str = SILVER) -> PreparedScene:
 
 
 def shoot(scene: PreparedScene, count: int, seed: int = 1) -> tuple[CausticPoints, int, int]:
-    return shoot_photons(scene.traced, ray_buffer(), seed, count)
+    return shoot_photons(scene.traced, seed, count)
 
 
 @pytest.mark.statistical
@@ -103,6 +109,85 @@ def test_cornell() -> None:
     )
     assert np.abs(distance[:, :triangles].min(axis=1) - 1e-3).max() < 1e-5
     scene.embree.close()
+
+
+# All materials, and lights of both kinds.
+MIXED = """\
+camera: {eye: [0, 1, 4], target: [0, 0, 0]}
+materials:
+  white: {type: diffuse, reflectance: [0.7, 0.8, 0.6]}
+  gloss: {type: phong, diffuse: 0.3, specular: 0.4, exponent: 30}
+  mirror: {type: mirror, reflectance: 0.9}
+  glass: {type: dielectric, ior: 1.5}
+  black: {type: diffuse, reflectance: 0}
+shapes:
+  - {type: quad, corners: [[-2, 0, 2], [0, 0, 2], [0, 0, -2], [-2, 0, -2]], material: white}
+  - {type: quad, corners: [[0, 0, 2], [2, 0, 2], [2, 0, -2], [0, 0, -2]], material: gloss}
+  - {type: quad, corners: [[-2, 0, -2], [2, 0, -2], [2, 3, -2], [-2, 3, -2]], material: white}
+  - {type: sphere, center: [0.6, 0.5, 0], radius: 0.4, material: mirror}
+  - {type: sphere, center: [-0.6, 0.5, 0], radius: 0.4, material: glass}
+  - {type: sphere, center: [1, 2, 0], radius: 0.2, material: black, emission: 30}
+  - type: quad
+    corners: [[-1, 2, 0.2], [-1, 2, -0.2], [-0.6, 2, -0.2], [-0.6, 2, 0.2]]
+    material: black
+    emission: [30, 20, 10]
+"""
+
+
+@numba.njit
+def shoot_one_by_one(scene, rays, seed, aim, found):
+    """Caustic points by the walk of `particles`: position, normal, direction, power. Returns (emitted, rays)."""
+    stored, particle, traced = 0, 0, 0
+    while stored < len(found):
+        key = rng.make_key(seed, rng.PHOTON, 0, particle)
+        u, v = rng.uniform2(key, particles.EMIT_POINT)
+        w, choice = rng.uniform2(key, particles.EMIT_CHOICE)
+        light, _ = pick_light(scene, u)
+        p, n, offset = light_point(scene, light, w, v)
+        u, v = rng.uniform2(key, particles.EMIT_DIRECTION)
+        direction, weight = emission(aim, p, n, choice, u, v)
+        flux = vec.scale(vec.row(scene.light_radiance, light), weight / scene.light_pdf[light])
+        origin = vec.along(p, n, offset)
+        bounce = 0
+        while vec.max3(flux) > 0:
+            u, v = particles.scatter_uniforms(key, bounce)
+            at, origin, direction, flux, more = particles.next_vertex(
+                scene, rays, origin, direction, flux, key, bounce, u, v
+            )
+            traced += more
+            bounce += 1
+            if at.primitive >= 0 and at.events > 0 and stored < len(found):
+                for c in range(3):
+                    found[stored, 0, c], found[stored, 1, c] = at.p[c], at.n[c]
+                    found[stored, 2, c], found[stored, 3, c] = at.back[c], at.flux[c]
+                stored += 1
+        particle += 1
+    return particle, traced
+
+
+@pytest.mark.parametrize("aim", [NATURAL, np.float32([-1, 0.1, -0.4, -0.2, 0.9, 0.4, 0.7])])
+def test_waves_are_particles_one_by_one(tmp_path, aim: np.ndarray) -> None:
+    """Same points in the same order, until rounding sends a path elsewhere."""
+    scene = prepare(scene_from(MIXED, tmp_path))
+    found = np.zeros((3000, 4, 3), np.float32)
+    emitted, traced = shoot_one_by_one(scene.traced, ray_buffer(), 5, aim, found)
+    points, emitted_in_waves, traced_in_waves = shoot_photons(scene.traced, 5, len(found), aim)
+    assert abs(emitted - emitted_in_waves) <= 5
+    assert 0.99 * traced < traced_in_waves < 1.02 * traced + 8 * GROUP  # the last group is traced to its end
+    scale = np.abs(found).max(axis=(0, 2))
+    differs = (np.abs(np.stack(points, axis=1) - found) > 1e-3 * scale[:, None]).any(axis=(1, 2))
+    assert differs.mean() < 0.01, differs.nonzero()
+    scene.embree.close()
+
+
+def test_a_group_with_more_points_than_there_is_room_for(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, rooms = periscope(tmp_path), []
+    right, emitted, traced = shoot(scene, 3000)
+    make = photons._room
+    monkeypatch.setattr(photons, "_room", lambda n: rooms.append(n) or make(n if len(rooms) > 1 else 7))
+    again, emitted_again, traced_again = shoot(scene, 3000)
+    assert len(rooms) == 2 and emitted_again == emitted and traced_again > traced
+    assert all(np.array_equal(a, b) for a, b in zip(right, again, strict=True))
 
 
 def test_same_seed_same_points(tmp_path) -> None:

@@ -1,5 +1,6 @@
 """Light tracing, guided emission and the cells of the forecast: each against a plain oracle, and errors are found."""
 
+import itertools
 from pathlib import Path
 
 import msgspec
@@ -18,9 +19,12 @@ from causticmpi.estimators import caustic_mixture as cm
 from causticmpi.kernels import camera as camera_room
 from causticmpi.kernels import emission, vec
 from causticmpi.kernels.emission import emission_guide, natural_emission
+from causticmpi.kernels.particle_waves import GROUP
 from causticmpi.preprocess import cells
 from causticmpi.preprocess.cells import COARSER, KEPT, LEVELS, build_cells, cell_edge
 from causticmpi.preprocess.forecast import no_forecast
+from causticmpi.render import rounds
+from causticmpi.render.film import Film
 from causticmpi.scene.data import SceneData
 from causticmpi.scene.tracing import camera_array
 
@@ -200,6 +204,47 @@ def test_gloss_is_left_to_the_forecast(open_scene: SceneData) -> None:
     with pytest.raises(ValueError, match="1 slots for the 256 pixels"):  # whatever a kernel hit beyond it would break
         method.trace_light(0, 0, method.light_paths, light[:1])
     prepared.embree.close()
+
+
+def test_bits_do_not_depend_on_how_a_pass_is_divided(open_scene: SceneData) -> None:
+    prepared = prepare(open_scene)
+    camera = camera_array(open_scene.camera, 16, 16)
+    method, _ = prepare_method(SerialWorld(), config(), prepared, camera, Stopwatch())
+    method.light_paths = 9 * GROUP + 77
+    films = []
+    for cuts in ([], [1], [4], [1, 2, 3, 7], range(1, 10)):
+        film, rays = np.zeros((256, 3), np.float32), 0
+        borders = [0, *(GROUP * cut for cut in cuts), method.light_paths]
+        for first, last in itertools.pairwise(borders):
+            rays += method.trace_light(3, first, last, film)
+        films.append((rays, film.tobytes()))
+    assert film.any() and len(set(films)) == 1
+    other = np.zeros((256, 3), np.float32)
+    method.trace_light(4, 0, method.light_paths, other)
+    assert other.tobytes() != films[0][1]
+    prepared.embree.close()
+
+
+def test_batches_of_light_paths_begin_with_a_group(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the clock says."""
+    calls: list[tuple[int, int]] = []
+
+    class Light:
+        light_paths = 50 * GROUP + 5
+
+        def trace_light(self, pass_index: int, first: int, last: int, film: np.ndarray) -> int:
+            calls.append((first, last))
+            return 0
+
+    stretches = itertools.cycle([0.9, 0.31, 1.7, 0.26, 3.3])
+    monkeypatch.setattr(rounds, "_stretch", lambda seconds: next(stretches))
+    pixels = np.zeros((16, 4), np.int64)
+    batches = rounds.Batches(Light(), pixels, 16)  # type: ignore[arg-type]
+    for index in range(3):
+        assert batches.trace([rounds.Share(index, 0, 0, light=True)], Film(16, 2.0**-40), lambda: False)
+    starts = [first for first, _ in calls]
+    assert len(calls) > 12 and all(first % GROUP == 0 for first in starts)
+    assert sum(last - first for first, last in calls) == 3 * Light.light_paths
 
 
 def test_what_the_eye_does_not_see_costs_nothing(open_scene: SceneData) -> None:

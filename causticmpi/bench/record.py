@@ -20,7 +20,7 @@ from causticmpi.kernels.embree import LANES, LIBRARY
 SINGLE_WORDS, PACKET_WORDS = 24, 12 * LANES
 """float32 words kept per query: an RTCRayHit, an RTCRay16."""
 MOST_SINGLE, MOST_PACKETS = 4_000_000, 200_000
-MOST_PHOTONS = 200_000
+MOST_PHOTONS = 50_000
 """Caustic points whose rays are recorded."""
 NEAREST, SHADOW = 0, 1
 """Kinds of query: rtcIntersect and rtcOccluded."""
@@ -122,7 +122,7 @@ class Recorder:
 
 def main(config_file: str, out: str) -> None:
     """Record queries of `pt` (`path_packets`, `path_kinds`, in order), the virtual lights' shadow rays (`packets`),
-    rays of `photons`, and all QUERIES of `iws`, `iws+cf` and `light` into `out`."""
+    and all QUERIES of `photons`, `iws`, `iws+cf` and `light` into `out`."""
     recorder = Recorder()
     from causticmpi.bench.subjects import Subject
 
@@ -132,9 +132,8 @@ def main(config_file: str, out: str) -> None:
     subject.gather(subject.pixels[: len(subject.pixels) // 2 // 16 * 16])
     packets, kinds = recorder.take()
     subject.photons(MOST_PHOTONS)
-    photons = recorder.single[: recorder.single_count[0]].copy()
+    parts = recorder.take_all("photons")
     subject.eye_paths("iws"), subject.eye_paths("iws+cf"), subject.light_paths()  # preprocess and compiling aside
-    parts: dict[str, np.ndarray] = {}
     for name, run in (
         ("iws", lambda: subject.eye_paths("iws")),
         ("iws+cf", lambda: subject.eye_paths("iws+cf")),
@@ -144,7 +143,7 @@ def main(config_file: str, out: str) -> None:
         run()
         parts |= recorder.take_all(name)
     shadows = packets[kinds == SHADOW]
-    parts |= {"path_packets": path_packets, "path_kinds": path_kinds, "packets": shadows, "photons": photons}
+    parts |= {"path_packets": path_packets, "path_kinds": path_kinds, "packets": shadows}
     np.savez(out, **parts)  # type: ignore[arg-type]
 
 

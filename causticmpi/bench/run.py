@@ -22,7 +22,8 @@ RATES = {
     "pt": "path tracing, all of it",
     "raw_packets": "Embree alone, the shadow rays of virtual lights in packets of 16 (rtcOccluded16)",
     "gather": "virtual-light gather, all of it",
-    "raw_photons": "Embree alone, the rays of forecast photons",
+    "raw_photons_single": "Embree alone, the rays of forecast photons one by one (rtcIntersect1)",
+    "raw_photons": "Embree alone, all packets of forecast photons",
     "photons": "shooting photons until 1 M caustic points are found, all of it",
     "raw_iws": "Embree alone, all rays of `iws`",
     "iws": "`iws`, all of it",
@@ -36,6 +37,7 @@ RATIOS = {
     "pt / raw": ("pt", "raw_paths"),
     "gather / raw": ("gather", "raw_packets"),
     "photons / raw": ("photons", "raw_photons"),
+    "photons / raw, one by one": ("photons", "raw_photons_single"),
     "iws / raw": ("iws", "raw_iws"),
     "iws+cf / raw": ("iws+cf", "raw_iws+cf"),
     "light / raw": ("light", "raw_light"),
@@ -52,8 +54,7 @@ PER_SAMPLE = "caustics: CPU time over Embree's for the same rays"
 
 
 def recorded_rays(config_file: str) -> dict[str, np.ndarray]:
-    """Queries recorded in a process of its own: path packets (n, 192) and kinds, shadow
-    packets (m, 192), photons (k, 24)."""
+    """Queries recorded in a process of its own, see `bench.record.main`."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "rays.npz"
         subprocess.run([sys.executable, "-m", "causticmpi.bench.record", config_file, str(out)], check=True)
@@ -77,7 +78,8 @@ def measure(config_file: str, repetitions: int = REPETITIONS) -> dict[str, Any]:
             ("pt", subject.path_tracing),
             ("raw_packets", lambda: subject.raw_packets(recorded["packets"])),
             ("gather", subject.gather),
-            ("raw_photons", lambda: subject.raw_photons(recorded["photons"])),
+            ("raw_photons_single", lambda: subject.raw_rows(recorded["photons_packets"])),
+            ("raw_photons", lambda: subject.raw_part({part: recorded[f"photons_{part}"] for part in QUERIES})),
             ("photons", subject.photons),
         ):
             rays, seconds = timed()

@@ -236,9 +236,9 @@ class Subject:
 
     def photons(self, count: int = MILLION) -> tuple[int, float]:
         """Shooting `count` photons: rays. The points are kept for `million`."""
-        shoot_photons(self.scene.traced, ray_buffer(), 1, 1)
+        shoot_photons(self.scene.traced, 1, 1)
         began = time.process_time()
-        self.points, _, rays = shoot_photons(self.scene.traced, ray_buffer(), 1, count)
+        self.points, _, rays = shoot_photons(self.scene.traced, 1, count)
         return rays, time.process_time() - began
 
     def million(self) -> dict[str, float]:
@@ -265,10 +265,12 @@ class Subject:
         kernel(handle, rays, packets[:0], kinds[:0])
         return _timed(lambda: kernel(handle, rays, packets, kinds))
 
-    def raw_photons(self, queries: np.ndarray) -> tuple[int, float]:
-        """Embree alone on recorded rays of photons (n, 24)."""
+    def raw_rows(self, packets: np.ndarray) -> tuple[int, float]:
+        """Embree alone, ray by ray and in place, on nearest-hit packets: as if they had never been packed."""
+        queries = packets.reshape(len(packets), -1, LANES).transpose(0, 2, 1).reshape(-1, packets.shape[1] // LANES)
+        queries = queries[queries[:, TFAR] >= 0]
         rays = _aligned(len(queries), 32)
-        rays[:, :24] = queries
+        rays[:, : queries.shape[1]] = queries
         handle = self.scene.embree.handle
         _replay_rows(handle, rays[:0])
         return len(queries), _timed(lambda: _replay_rows(handle, rays))[1]

@@ -8,7 +8,7 @@ import numpy as np
 from causticmpi.config.records import RenderConfig
 from causticmpi.distributed.clock import Stopwatch
 from causticmpi.distributed.world import World
-from causticmpi.kernels.embree import EmbreeScene, ray_buffer
+from causticmpi.kernels.embree import EmbreeScene
 from causticmpi.kernels.traced_scene import TracedScene
 from causticmpi.output.picture import RELMSE_FLOOR
 from causticmpi.preprocess.aim import emission_aim
@@ -134,7 +134,7 @@ def make_forecast(
     made, settings = Forecasting(no_forecast()), config.forecast
     with watch.stage("photons"):
         aim = emission_aim(settings.aim, scene.data)
-        points, made.emitted, made.rays = shoot_photons(scene.traced, ray_buffer(), config.seed, settings.photons, aim)
+        points, made.emitted, made.rays = shoot_photons(scene.traced, config.seed, settings.photons, aim)
     made.photons = len(points.power)
     made.warnings = of_photons(made.photons, settings.photons, made.emitted)
     if not made.photons:
@@ -161,7 +161,7 @@ def _prepare_photon_map(world: World, config: RenderConfig, scene: PreparedScene
     made = Forecasting(no_photon_map(settings.neighbours))
     if world.is_root and has_specular(scene.data):
         with watch.stage("photons"):
-            points, made.emitted, made.rays = shoot_photons(scene.traced, ray_buffer(), config.seed, settings.photons)
+            points, made.emitted, made.rays = shoot_photons(scene.traced, config.seed, settings.photons)
         made.photons = len(points.power)
         made.warnings = of_photon_map(made.photons, settings.photons, made.emitted)
         if made.photons:

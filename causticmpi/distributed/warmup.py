@@ -110,7 +110,7 @@ def warm_up(config: RenderConfig, root: bool, forecasting: bool) -> bool:
     if root and config.method not in ("pt", "pt-brute"):
         learn_guides(scene.traced, camera, 4, 4, 0, 1.0)
     if root and (forecasting or mapping):
-        shoot_photons(scene.traced, rays, 0, 1)
+        shoot_photons(scene.traced, 0, 1)
         points = CausticPoints(*(np.ones((4, 3), np.float32) for _ in range(4)))
         if mapping:
             build_photon_map(points, 1, 2)

@@ -1,11 +1,11 @@
 """Path tracing by brute force, the plain oracle: light is found by chance alone."""
 
-from causticmpi.estimators.path_stages import CHOICE, DIRECTION
 from causticmpi.kernels import bsdf, rng, vec
 from causticmpi.kernels.camera import lane_direction, see_packet
 from causticmpi.kernels.embree import LANES, intersect, lane_hit
 from causticmpi.kernels.eye_path import emitted, facing, scatter_along_eye_path
 from causticmpi.kernels.jit import kernel
+from causticmpi.kernels.path_stages import CHOICE, DIRECTION
 from causticmpi.kernels.pixels import add_sample
 from causticmpi.kernels.traced_scene import hit_point, is_specular
 from causticmpi.kernels.vec import BLACK, INFINITY, ONE, WHITE, ZERO

@@ -4,14 +4,14 @@ import math
 
 import numpy as np
 
-from causticmpi.estimators import path_layout as at
-from causticmpi.estimators.path_layout import get3, put3
-from causticmpi.estimators.path_stages import BRANCH, look_up, number_hits, trace_packet
 from causticmpi.kernels import bsdf, rng, vec, warp
+from causticmpi.kernels import path_layout as at
 from causticmpi.kernels.embree import LANES, RAY16, TFAR, VALID, rtc_occluded16
 from causticmpi.kernels.eye_path import emitted, facing
 from causticmpi.kernels.jit import inline
 from causticmpi.kernels.material_kinds import PHONG
+from causticmpi.kernels.path_layout import get3, put3
+from causticmpi.kernels.path_stages import BRANCH, look_up, number_hits, trace_packet
 from causticmpi.kernels.traced_scene import OFFSET, is_specular, pick_light
 from causticmpi.kernels.vec import ALMOST_ONE, BLACK, INFINITY, INV_PI, ONE, ZERO
 

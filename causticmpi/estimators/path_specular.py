@@ -1,18 +1,16 @@
 """Path tracing at specular vertices: one event of each path (lanes of a block)."""
 
-import math
-
 import numpy as np
 
-from causticmpi.estimators import path_layout as at
-from causticmpi.estimators.path_layout import get3, put3
-from causticmpi.estimators.path_stages import BRANCH, look_up, number_hits
 from causticmpi.kernels import bsdf, rng, vec
-from causticmpi.kernels.embree import LANES, RAY16, TFAR
+from causticmpi.kernels import path_layout as at
+from causticmpi.kernels.embree import LANES, RAY16
 from causticmpi.kernels.jit import inline
 from causticmpi.kernels.material_kinds import MIRROR
+from causticmpi.kernels.path_layout import get3, put3
+from causticmpi.kernels.path_stages import BRANCH, look_up, number_hits
 from causticmpi.kernels.traced_scene import is_specular
-from causticmpi.kernels.vec import HALF, INFINITY, ONE, TWO, ZERO
+from causticmpi.kernels.vec import ONE, ZERO
 
 
 @inline
@@ -35,42 +33,10 @@ def look_up_specular(scene, work, lanes):
 
 
 @inline
-def scatter(work):
-    """One specular event of every lane, the eta^2 of radiance included: `bsdf.scatter_specular` for lanes."""
+def scale_radiance(work):
+    """Radiance that refracts scales by eta^2 [Veach 1997, sec. 5.2]."""
     for i in range(LANES):
-        n, direction = get3(work, at.NORMAL, i), get3(work, at.DIRECTION, i)
-        mirror = work[at.IS_MIRROR + i] > ZERO
-        front = -vec.dot(direction, n)
-        inside = front < ZERO
-        side = (-n[0] if inside else n[0], -n[1] if inside else n[1], -n[2] if inside else n[2])
-        cosine = abs(front)
-        eta = work[at.IOR + i] if inside else ONE / work[at.IOR + i]
-        sine2 = eta * eta * max(ZERO, ONE - cosine * cosine)
-        inner = math.sqrt(max(ZERO, ONE - sine2))
-        s = (eta * cosine - inner) / (eta * cosine + inner)
-        p = (cosine - eta * inner) / (cosine + eta * inner)
-        reflected = ONE if sine2 >= ONE else HALF * (s * s + p * p)
-        reflects = mirror | (work[at.CHOICE + i] < reflected)
-        bent = vec.normalize(vec.along(vec.scale(direction, eta), side, eta * cosine - inner))
-        back = vec.along(direction, side, TWO * cosine)
-        out = (back[0] if reflects else bent[0], back[1] if reflects else bent[1], back[2] if reflects else bent[2])
-        scale = ONE if reflects else eta * eta
-        reflectance = get3(work, at.REFLECTANCE, i)
-        throughput = vec.scale(get3(work, at.THROUGHPUT, i), scale)
-        put3(
-            work,
-            at.THROUGHPUT,
-            i,
-            (
-                throughput[0] * (reflectance[0] if mirror else ONE),
-                throughput[1] * (reflectance[1] if mirror else ONE),
-                throughput[2] * (reflectance[2] if mirror else ONE),
-            ),
-        )
-        offset = work[at.OFFSET + i]
-        put3(work, RAY16, i, vec.along(get3(work, at.POINT, i), n, offset if vec.dot(out, n) > ZERO else -offset))
-        put3(work, RAY16 + 64, i, out)
-        work[RAY16 + 16 * TFAR + i] = INFINITY if work[at.ALIVE + i] > ZERO else -ONE
+        put3(work, at.THROUGHPUT, i, vec.scale(get3(work, at.THROUGHPUT, i), work[at.ETA2 + i]))
 
 
 @inline

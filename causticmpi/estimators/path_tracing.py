@@ -12,9 +12,9 @@ where they meet a non-specular surface. A scene without specular surfaces has no
 import numpy as np
 
 from causticmpi.estimators import path_diffuse as diffuse_stages
-from causticmpi.estimators import path_layout as at
 from causticmpi.estimators import path_specular as specular_stages
-from causticmpi.estimators import path_stages as stages
+from causticmpi.kernels import path_layout as at
+from causticmpi.kernels import path_stages as stages
 from causticmpi.kernels import rng
 from causticmpi.kernels.camera import see_packet
 from causticmpi.kernels.embree import LANES, RAY16
@@ -100,5 +100,6 @@ def follow_specular(scene, work, lanes):
     stages.locate(work, scene.triangle_count)
     stages.draw(work)
     specular_stages.look_up_specular(scene, work, lanes)
-    specular_stages.scatter(work)
+    stages.scatter(work)
+    specular_stages.scale_radiance(work)
     return stages.trace_packet(scene, work, RAY16)

@@ -1,4 +1,8 @@
-"""Particles from the lights: the walk shared by virtual lights, forecast photons, photon maps, light paths and guides.
+"""Particles from the lights, one after the other: the walk of virtual lights, and of those that guides learn from.
+
+There are two walks, with the same random numbers. `particle_waves` takes a thousand particles along at once, for
+forecast photons, photon maps and light paths, of which there are many; it would run half empty on the few hundred paths
+of a pass's virtual lights, and guides want to know what each path has come to before the next begins.
 
 Their flux is not scaled at refraction (only radiance carried back along an eye path is; see `bsdf.scatter_specular`).
 """
@@ -9,10 +13,10 @@ from causticmpi.kernels import bsdf, rng, vec
 from causticmpi.kernels.embree import intersect
 from causticmpi.kernels.eye_path import facing
 from causticmpi.kernels.jit import inline
-from causticmpi.kernels.traced_scene import hit_point, is_specular, light_point, pick_light
+from causticmpi.kernels.traced_scene import hit_point, is_specular
 from causticmpi.kernels.vec import BLACK, INFINITY, ONE, PI, ZERO
 
-EMIT_POINT, EMIT_DIRECTION = 0, 1
+EMIT_POINT, EMIT_DIRECTION, EMIT_CHOICE = 0, 1, 2
 """Dimensions of a particle's own key."""
 CHOICE, DIRECTION = 0, 1
 """Dimensions of its vertex keys."""
@@ -35,14 +39,6 @@ class Vertex(NamedTuple):
     back: Any
     flux: Any
     events: Any
-
-
-@inline
-def emission_point(scene, u, v, w):
-    """A point on the lights, in proportion to power: point, front normal, offset, and radiance / density [W/sr]."""
-    light, _ = pick_light(scene, u)
-    p, n, offset = light_point(scene, light, w, v)
-    return p, n, offset, vec.scale(vec.row(scene.light_radiance, light), ONE / scene.light_pdf[light])
 
 
 @inline

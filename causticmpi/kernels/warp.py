@@ -76,13 +76,11 @@ def uniform_sphere(u, v):
 @inline
 def pick(cdf, u):
     """Index i with cdf[i-1] <= u < cdf[i] by bisection; never a row of zero width for 0 <= u < cdf[-1]."""
-    low, high = 0, cdf.shape[0] - 1
-    while low < high:
-        middle = (low + high) >> 1
-        if u < cdf[middle]:
-            high = middle
-        else:
-            low = middle + 1
+    low, left = 0, cdf.shape[0]
+    while left > 1:  # no branch that hangs on u: half of them would be foretold wrongly
+        half = left >> 1
+        low += half * (cdf[low + half - 1] <= u)
+        left -= half
     return low
 
 

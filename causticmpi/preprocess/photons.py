@@ -8,11 +8,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from causticmpi.kernels import particles, rng, vec
-from causticmpi.kernels.aim import NATURAL, emission
-from causticmpi.kernels.jit import kernel
+from causticmpi.kernels import particle_waves as waves
+from causticmpi.kernels import path_layout as at
+from causticmpi.kernels import rng
+from causticmpi.kernels.aim import NATURAL
+from causticmpi.kernels.embree import LANES
+from causticmpi.kernels.jit import inline, kernel
+from causticmpi.kernels.material_kinds import MIRROR
+from causticmpi.kernels.particle_emission import emit_aimed
 from causticmpi.kernels.traced_scene import TracedScene
-from causticmpi.kernels.vec import ZERO
 
 
 class CausticPoints(NamedTuple):
@@ -25,40 +29,100 @@ class CausticPoints(NamedTuple):
     power: Any
 
 
+class _Found(NamedTuple):
+    """Caustic points of one group in the order found: point (n, 12) float32, its particle's number in the group and the
+    next point of the same particle, -1 for none (n,) int32; the first and last of each particle (GROUP,) int32."""
+
+    point: Any
+    particle: Any
+    next: Any
+    first: Any
+    last: Any
+
+
+def _room(points: int) -> _Found:
+    numbers = [np.zeros(n, np.int32) for n in (points, points, waves.GROUP, waves.GROUP)]
+    return _Found(np.zeros((points, 12), np.float32), *numbers)
+
+
+@inline
+def _note(work, found, count):
+    """Note the caustic points of a block that has met its surfaces. Returns how many the group has."""
+    words = work.view(np.int32)
+    for i in range(LANES):
+        kind = words[at.KIND + i]
+        if words[at.CHAIN + i] == 0 or kind < 0 or kind >= MIRROR:
+            continue
+        if count < found.next.shape[0]:
+            for c in range(3):
+                found.point[count, c] = work[at.POINT + 16 * c + i]
+                found.point[count, 3 + c] = work[at.NORMAL + 16 * c + i]
+                found.point[count, 6 + c] = -work[at.DIRECTION + 16 * c + i]
+                found.point[count, 9 + c] = work[at.THROUGHPUT + 16 * c + i]
+            particle = words[at.PIXEL + i]
+            found.particle[count] = particle
+            found.next[count] = -1
+            if found.first[particle] < 0:
+                found.first[particle] = count
+            else:
+                found.next[found.last[particle]] = count
+            found.last[particle] = count
+        count += 1
+    return count
+
+
+@inline
+def _store(found, points, stored):
+    """Hand over the points of a group, particle by particle. Returns (stored, particles until the last one needed)."""
+    for particle in range(waves.GROUP):
+        k = found.first[particle]
+        while k >= 0 and stored < points.power.shape[0]:
+            for c in range(3):
+                points.position[stored, c] = found.point[k, c]
+                points.normal[stored, c] = found.point[k, 3 + c]
+                points.direction[stored, c] = found.point[k, 6 + c]
+                points.power[stored, c] = found.point[k, 9 + c]
+            stored += 1
+            k = found.next[k]
+        if stored == points.power.shape[0]:
+            return stored, particle + 1
+    return stored, waves.GROUP
+
+
 @kernel
-def _shoot(scene, rays, seed, first, last, aim, points, stored):
+def _shoot(scene, work, queues, seed, first, last, aim, points, stored, found):
     """Particles first … last-1, emitted by `aim`; stops when `points` is full.
 
-    Returns (stored, next particle, rays traced).
+    work, queues: `particle_waves.particle_work`. Returns (stored, next particle, rays traced, points of the last
+    group): if that is more than `found` has room for, nothing of the group was stored, and it is the next.
     """
-    traced = 0
-    particle = first
-    while particle < last and stored < points.power.shape[0]:
-        key = rng.make_key(seed, rng.PHOTON, 0, particle)
-        u, v = rng.uniform2(key, particles.EMIT_POINT)
-        w, choice = rng.uniform2(key, 2)
-        p, n, offset, power = particles.emission_point(scene, u, v, w)
-        u, v = rng.uniform2(key, particles.EMIT_DIRECTION)
-        direction, weight = emission(aim, p, n, choice, u, v)
-        flux = vec.scale(power, weight)
-        origin = vec.along(p, n, offset)
-        bounce = 0
-        while vec.max3(flux) > ZERO:
-            u, v = particles.scatter_uniforms(key, bounce)
-            at, origin, direction, flux, more = particles.next_vertex(
-                scene, rays, origin, direction, flux, key, bounce, u, v
-            )
-            traced += more
-            if at.primitive >= 0 and at.events > 0 and stored < points.power.shape[0]:
-                for c in range(3):
-                    points.position[stored, c] = at.p[c]
-                    points.normal[stored, c] = at.n[c]
-                    points.direction[stored, c] = at.back[c]
-                    points.power[stored, c] = at.flux[c]
-                stored += 1
-            bounce += 1
-        particle += 1
-    return stored, particle, traced
+    traced, count = 0, 0
+    while first < last and stored < points.power.shape[0]:
+        end = min(last, first + waves.GROUP)
+        found.first[:] = -1
+        count, waiting = 0, 0
+        for number in range(0, end - first, LANES):
+            emit_aimed(scene, work, aim, seed, rng.PHOTON, 0, first + number, end, number)
+            waiting = waves.wait(work, queues[0], waiting)
+        wave = 0
+        while waiting > 0:
+            now, then = queues[wave & 1], queues[(wave + 1) & 1]
+            waves.fly(scene, work, now, waiting)
+            traced += waiting
+            going_on = 0
+            for block in range((waiting + LANES - 1) // LANES):
+                at.load_block(work, now, block)
+                specular, other, glossy = waves.meet(scene, work)
+                count = _note(work, found, count)
+                waves.scatter(scene, work, specular, other, glossy)
+                going_on = waves.wait(work, then, going_on)
+            waiting = going_on
+            wave += 1
+        if count > found.next.shape[0]:
+            return stored, first, traced, count
+        stored, needed = _store(found, points, stored)
+        first += min(needed, end - first)
+    return stored, first, traced, count
 
 
 MOST_PARTICLES_PER_PHOTON = 400
@@ -66,18 +130,25 @@ MOST_PARTICLES_PER_PHOTON = 400
 
 
 def shoot_photons(
-    scene: TracedScene, rays: np.ndarray, seed: int, count: int, aim: np.ndarray = NATURAL
+    scene: TracedScene, seed: int, count: int, aim: np.ndarray = NATURAL
 ) -> tuple[CausticPoints, int, int]:
     """Shoot until `count` caustic points are found, or nearly nothing reaches a specular surface.
 
+    The points are in the order of their particles, and along each; the particle that makes the last one is the last
+    emitted. (Its group is traced to the end, and some rays in vain.)
     aim (7,) float32: see kernels.aim; whatever it is, the points' power over the particles emitted is unbiased.
     Returns the points found, the particles emitted and the rays traced.
     """
     points = CausticPoints(*(np.zeros((count, 3), np.float32) for _ in range(4)))
+    work, queues = waves.particle_work()
+    found = _room(4 * waves.GROUP)
     stored = emitted = traced = 0
     limit = MOST_PARTICLES_PER_PHOTON * count
     while stored < count and emitted < limit:
         batch = min(limit - emitted, 1 << 20)
-        stored, emitted, rays_traced = _shoot(scene, rays, seed, emitted, emitted + batch, aim, points, stored)
-        traced += rays_traced
+        last = emitted + batch
+        stored, emitted, rays, lately = _shoot(scene, work, queues, seed, emitted, last, aim, points, stored, found)
+        traced += rays
+        if lately > len(found.next):
+            found = _room(2 * lately)
     return CausticPoints(*(a[:stored] for a in points)), emitted, traced

@@ -18,11 +18,12 @@ from causticmpi.estimators.iws_cf import trace_iws_cf
 from causticmpi.estimators.iws_mixture import trace_iws_mixture
 from causticmpi.estimators.iws_pm import trace_iws_pm
 from causticmpi.estimators.light_tracing import trace_light_paths
-from causticmpi.estimators.path_layout import FIRST_SPLIT, SECOND_SPLIT, path_work
 from causticmpi.estimators.path_tracing import trace_paths
 from causticmpi.estimators.virtual_lights import empty_virtual_lights, trace_virtual_lights
 from causticmpi.kernels.embree import ray_buffer
 from causticmpi.kernels.material_kinds import MIRROR, PHONG
+from causticmpi.kernels.particle_waves import particle_work
+from causticmpi.kernels.path_layout import FIRST_SPLIT, SECOND_SPLIT, path_work
 from causticmpi.kernels.traced_scene import TracedScene
 from causticmpi.preprocess.forecast import ForecastMaps
 from causticmpi.preprocess.guides import Guides, no_guides
@@ -146,6 +147,7 @@ class WeakSingularities(VirtualLighting):
         if not self.mixture:
             self.light_paths = 0
         tables = self.sampling if self.sampling != "mixture" else "two"
+        self.light_work = particle_work()
         self.work = pass_work(mixture_work(self.maps) if self.mixture else forecast_work(self.maps, tables))
 
     def trace(self, pixels: np.ndarray, film: np.ndarray) -> int:
@@ -166,9 +168,9 @@ class WeakSingularities(VirtualLighting):
         rays: int = trace_light_paths(
             self.scene,
             self.camera,
-            self.rays,
+            *self.light_work,
             self.guides.light_tracing,
-            np.array(self.window, np.int64),
+            np.array(self.window, np.float32),
             self.seed,
             pass_index,
             first,

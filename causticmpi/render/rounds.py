@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from causticmpi.kernels.particle_waves import GROUP
 from causticmpi.render.film import Film
 from causticmpi.render.methods import Method
 
@@ -160,7 +161,7 @@ class Batches:
             began = time.perf_counter()
             pending.rays += self._timed(self.method.trace_light, pass_index, path, end, self.light_film)
             wanted = self.paths * _stretch(time.perf_counter() - began)
-            self.paths = min(self.method.light_paths, max(1024, int(wanted)))
+            self.paths = min(self.method.light_paths, max(GROUP, int(wanted) // GROUP * GROUP))
             path = end
             if stop():
                 self.light_film[:] = 0

@@ -17,7 +17,6 @@ from causticmpi.distributed.prepare import PreparedScene, prepare_method, share_
 from causticmpi.distributed.usage import peak_memory_mb
 from causticmpi.distributed.warmup import warm_up
 from causticmpi.distributed.world import SerialWorld
-from causticmpi.kernels.embree import ray_buffer
 from causticmpi.kernels.pixels import pixel_order
 from causticmpi.preprocess.forecast import ForecastMaps, build_forecast
 from causticmpi.preprocess.photons import shoot_photons
@@ -138,7 +137,7 @@ _COMPILED: set[tuple[str, str]] = set()
 
 def _lying_maps(config: RenderConfig, data: SceneData, lie: str) -> ForecastMaps:
     shot_in = share_scene(SerialWorld(), _lights_moved(data) if lie == "wrong light" else data)
-    points, _, _ = shoot_photons(shot_in.traced, ray_buffer(), config.seed, config.forecast.photons)
+    points, _, _ = shoot_photons(shot_in.traced, config.seed, config.forecast.photons)
     shot_in.embree.close()
     f = config.forecast
     points = LIES[lie](points, np.random.default_rng(7))

@@ -1,14 +1,17 @@
-"""What all vertices of the path tracer need: where they are, their random numbers, packets and what these have hit."""
+"""What vertices of paths in lanes need, of path tracing and of particles: where they are, their random numbers, packets
+and what these have hit, and the specular event."""
+
+import math
 
 import numpy as np
 
-from causticmpi.estimators import path_layout as at
-from causticmpi.estimators.path_layout import get3, put3
+from causticmpi.kernels import path_layout as at
 from causticmpi.kernels import rng, vec
-from causticmpi.kernels.embree import GEOM, LANES, MISS, PRIM, TFAR, VALID, rtc_intersect16
+from causticmpi.kernels.embree import GEOM, LANES, MISS, PRIM, RAY16, TFAR, VALID, rtc_intersect16
 from causticmpi.kernels.jit import inline, prefetch
+from causticmpi.kernels.path_layout import get3, put3
 from causticmpi.kernels.traced_scene import OFFSET
-from causticmpi.kernels.vec import ZERO
+from causticmpi.kernels.vec import HALF, INFINITY, ONE, TWO, ZERO
 
 CHOICE, DIRECTION, LIGHT, BRANCH = 0, 1, 2, 3
 """Dimensions of a vertex key; BRANCH + j names the vertex that its j-th ray finds."""
@@ -82,3 +85,44 @@ def look_up(scene, work, packet):
         known = max(primitive, np.int32(0))
         words[packet + 16 * at.FOUND + i] = np.int32(-1) if primitive < 0 else scene.kind[scene.material[known]]
         work[packet + 16 * at.REACH + i] = scene.surface[known, 3]
+
+
+@inline
+def scatter(work):
+    """One specular event of every lane, and its ray: `bsdf.scatter_specular` for lanes.
+
+    ETA2 is what radiance carried against the light is still to be scaled by; lanes that are no mirrors keep THROUGHPUT.
+    """
+    for i in range(LANES):
+        n, direction = get3(work, at.NORMAL, i), get3(work, at.DIRECTION, i)
+        mirror = work[at.IS_MIRROR + i] > ZERO
+        front = -vec.dot(direction, n)
+        inside = front < ZERO
+        side = (-n[0] if inside else n[0], -n[1] if inside else n[1], -n[2] if inside else n[2])
+        cosine = abs(front)
+        eta = work[at.IOR + i] if inside else ONE / work[at.IOR + i]
+        sine2 = eta * eta * max(ZERO, ONE - cosine * cosine)
+        inner = math.sqrt(max(ZERO, ONE - sine2))
+        s = (eta * cosine - inner) / (eta * cosine + inner)
+        p = (cosine - eta * inner) / (cosine + eta * inner)
+        reflected = ONE if sine2 >= ONE else HALF * (s * s + p * p)
+        reflects = mirror | (work[at.CHOICE + i] < reflected)
+        bent = vec.normalize(vec.along(vec.scale(direction, eta), side, eta * cosine - inner))
+        back = vec.along(direction, side, TWO * cosine)
+        out = (back[0] if reflects else bent[0], back[1] if reflects else bent[1], back[2] if reflects else bent[2])
+        work[at.ETA2 + i] = ONE if reflects else eta * eta
+        reflectance, throughput = get3(work, at.REFLECTANCE, i), get3(work, at.THROUGHPUT, i)
+        put3(
+            work,
+            at.THROUGHPUT,
+            i,
+            (
+                throughput[0] * (reflectance[0] if mirror else ONE),
+                throughput[1] * (reflectance[1] if mirror else ONE),
+                throughput[2] * (reflectance[2] if mirror else ONE),
+            ),
+        )
+        offset = work[at.OFFSET + i]
+        put3(work, RAY16, i, vec.along(get3(work, at.POINT, i), n, offset if vec.dot(out, n) > ZERO else -offset))
+        put3(work, RAY16 + 64, i, out)
+        work[RAY16 + 16 * TFAR + i] = INFINITY if work[at.ALIVE + i] > ZERO else -ONE

@@ -1,10 +1,11 @@
-"""Where the path tracer keeps its paths: queues of vertices that wait, and the 16 lanes that are worked on.
+"""Where paths are kept: queues of vertices that wait, and the 16 lanes that are worked on.
 
-Paths go on in waves. A vertex that a ray has found waits in one of two queues, of specular and of other surfaces, so
-that the 16 lanes of a packet do the same work and hold hardly a dead path. A queue is a run of blocks; a block holds
-the rows below of 16 vertices. A stage copies a block to the front of `work`, which is `embree.ray_buffer`, and works on
-it in loops over the lanes that the compiler turns into vector instructions: no branches, no calls, and nothing read but
-`work` at offsets known when compiling.
+Paths go on in waves, those of path tracing as told here, particles much alike (`particle_waves`). A vertex that a ray
+has found waits in one of two queues, of specular and of other surfaces, so that the 16 lanes of a packet do the same
+work and hold hardly a dead path. A queue is a run of blocks; a block holds the rows below of 16 vertices. A stage
+copies a block to the front of `work`, which is `embree.ray_buffer`, and works on it in loops over the lanes that the
+compiler turns into vector instructions: no branches, no calls, and nothing read but `work` at offsets known when
+compiling.
 
 Vertices of one pixel keep their order in every queue whoever else is there, and Embree's answer to a ray does not
 depend on the other lanes (tests/test_embree.py): so a pixel's sums are the same bits in any picture.
@@ -73,10 +74,12 @@ BLOCK_WORDS = _VERTEX_END - _FIRST
     CONTRIBUTION,
     IOR,
     IS_MIRROR,
+    KIND,
+    ETA2,
     _SCRATCH_END,
 ) = (
     _VERTEX_END + LANES * row
-    for row in (0, 3, 6, 7, 10, 11, 12, 15, 16, 17, 18, 19, 20, 21, 24, 27, 30, 33, 34, 35, 38, 41, 44, 45, 46)
+    for row in (0, 3, 6, 7, 10, 11, 12, 15, 16, 17, 18, 19, 20, 21, 24, 27, 30, 33, 34, 35, 38, 41, 44, 45, 46, 47, 48)
 )
 """Rows of what a stage finds out about its lanes."""
 FOUND, REACH = 12, 13
@@ -86,13 +89,18 @@ PACKETS = _SCRATCH_END
 """The packets of the rays of a block, FIRST_SPLIT of them."""
 
 
-def path_work() -> tuple[np.ndarray, np.ndarray]:
-    """Workspace: `work`, and the queues (2 waves, 2 kinds, words) float32."""
-    work = ray_buffer(PACKETS + FIRST_SPLIT * PACKET_WORDS - _FIRST)
-    for j in range(FIRST_SPLIT):
+def lanes_and_packets(packets: int) -> np.ndarray:
+    """`work` with room for so many packets at PACKETS."""
+    work = ray_buffer(PACKETS + packets * PACKET_WORDS - _FIRST)
+    for j in range(packets):
         packet = PACKETS + j * PACKET_WORDS
         work[packet : packet + PACKET_WORDS] = work[RAY16 : RAY16 + PACKET_WORDS]
-    return work, np.zeros((2, 2, MOST_WAITING // LANES * BLOCK_WORDS), np.float32)
+    return work
+
+
+def path_work() -> tuple[np.ndarray, np.ndarray]:
+    """Workspace: `work`, and the queues (2 waves, 2 kinds, words) float32."""
+    return lanes_and_packets(FIRST_SPLIT), np.zeros((2, 2, MOST_WAITING // LANES * BLOCK_WORDS), np.float32)
 
 
 @inline

@@ -1,0 +1,201 @@
+"""Particles in waves: the walk of `particles` for many of them at a time, 16 lanes wide.
+
+Particles go on in groups of GROUP. All rays of a group that wait are flown, in packets, then scattered block by block,
+specular and other surfaces alike; what survives moves up to fill the next wave's packets. The rows of a waiting ray are
+those of a vertex in `path_layout`: ORIGIN, DIRECTION, THROUGHPUT (the flux), KEY of the particle, PIXEL (its number in
+the group), DEPTH (non-specular vertices before) and CHAIN (specular events since the last).
+
+A group that begins at a multiple of GROUP does the same, bit for bit, however particles are divided among calls.
+"""
+
+import numpy as np
+
+from causticmpi.kernels import bsdf, particles, rng, vec, warp
+from causticmpi.kernels import path_layout as at
+from causticmpi.kernels import path_stages as stages
+from causticmpi.kernels.embree import LANES, PRIM, RAY16, TFAR
+from causticmpi.kernels.eye_path import facing
+from causticmpi.kernels.jit import inline
+from causticmpi.kernels.material_kinds import MIRROR, PHONG
+from causticmpi.kernels.path_layout import get3, put3
+from causticmpi.kernels.traced_scene import is_specular
+from causticmpi.kernels.vec import INFINITY, ONE, ZERO
+
+GROUP = 1024
+"""Particles that go on together: enough that the last waves, of few, cost little; few enough to stay in the cache."""
+
+
+def particle_work() -> tuple[np.ndarray, np.ndarray]:
+    """Workspace: `work`, the lanes, and the queues of two waves (2, words) float32."""
+    return at.lanes_and_packets(2), np.zeros((2, GROUP // LANES * at.BLOCK_WORDS), np.float32)
+
+
+@inline
+def fly(scene, work, queue, count):
+    """Trace the first `count` rays of a queue: DISTANCE and PRIMITIVE (-1: nothing) of what they hit."""
+    words, waiting = work.view(np.int32), queue.view(np.int32)
+    for block in range((count + LANES - 1) // LANES):
+        first = block * at.BLOCK_WORDS
+        rays, hits = queue[first : first + at.BLOCK_WORDS], waiting[first : first + at.BLOCK_WORDS]
+        left = count - block * LANES
+        for i in range(LANES):
+            put3(work, RAY16, i, get3(rays, _ORIGIN, i))
+            put3(work, RAY16 + 64, i, get3(rays, _DIRECTION, i))
+            work[RAY16 + 16 * TFAR + i] = INFINITY if i < left else -ONE
+        stages.trace_packet(scene, work, RAY16)
+        stages.number_hits(scene, work, RAY16)
+        for i in range(LANES):
+            rays[_DISTANCE + i] = work[RAY16 + 16 * TFAR + i]
+            hits[_PRIMITIVE + i] = words[RAY16 + 16 * PRIM + i]
+
+
+_ORIGIN, _DIRECTION, _DISTANCE, _PRIMITIVE, _FLUX, _KEY, _COUNTS = (
+    row - at.ORIGIN for row in (at.ORIGIN, at.DIRECTION, at.DISTANCE, at.PRIMITIVE, at.THROUGHPUT, at.KEY, at.PIXEL)
+)
+"""Rows of a block in a queue; the last is the first of PIXEL, DEPTH, CHAIN."""
+
+
+@inline
+def meet(scene, work):
+    """What the rays of a block have hit. Returns how many met a specular, a non-specular and a glossy surface.
+
+    KIND is -1 where there is nothing; NORMAL of non-specular surfaces is on the side of arrival.
+    """
+    words = work.view(np.int32)
+    for i in range(LANES):
+        known = np.uint64(max(words[at.PRIMITIVE + i], np.int32(0)))
+        material = np.uint64(scene.material[known])
+        words[at.MATERIAL + i] = np.int32(material)
+        words[at.KIND + i] = scene.kind[material]
+        put3(work, at.SURFACE, i, vec.row(scene.surface, known))
+        work[at.SURFACE + 48 + i] = scene.surface[known, 3]
+        put3(work, at.REFLECTANCE, i, vec.row(scene.reflectance, material))
+        work[at.IOR + i] = scene.ior[material]
+    specular, other, glossy = 0, 0, 0
+    for i in range(LANES):
+        kind = words[at.KIND + i] if words[at.PRIMITIVE + i] >= 0 else np.int32(-1)
+        words[at.KIND + i] = kind
+        work[at.IS_MIRROR + i] = ONE if kind == MIRROR else ZERO
+        specular += is_specular(kind)
+        other += (kind >= 0) & (kind < MIRROR)
+        glossy += kind == PHONG
+    stages.locate(work, scene.triangle_count)
+    for i in range(LANES):
+        n = get3(work, at.NORMAL, i)
+        front = facing(n, get3(work, at.DIRECTION, i))
+        turn = words[at.KIND + i] < MIRROR
+        put3(work, at.NORMAL, i, (front[0] if turn else n[0], front[1] if turn else n[1], front[2] if turn else n[2]))
+    return specular, other, glossy
+
+
+@inline
+def scatter(scene, work, specular, other, glossy):
+    """Scatter a block, by the numbers that `meet` returned: the rays that go on, and their flux."""
+    _draw(work)
+    if specular > 0:
+        stages.scatter(work)
+    if other > 0:
+        _bounce(work)
+    if glossy > 0:
+        _bounce_on_gloss(scene, work)
+    _settle(work)
+
+
+@inline
+def _draw(work):
+    """The random numbers of `particles.next_vertex`, and roulette of long specular chains."""
+    words, keys = work.view(np.int32), work.view(np.uint64)
+    for i in range(LANES):
+        kind, events = words[at.KIND + i], words[at.CHAIN + i]
+        mirrors = is_specular(kind)
+        step = rng.subkey(keys[at.KEY // 2 + i], words[at.DEPTH + i])
+        chain = rng.subkey(step, 1)
+        work[at.U + i], work[at.V + i] = rng.uniform2(step, particles.DIRECTION)
+        key = chain if mirrors else step
+        choice, survive = rng.uniform2(key, events if mirrors else np.int32(particles.CHOICE))
+        work[at.CHOICE + i], work[at.SURVIVE + i] = choice, survive
+        long = mirrors & (events >= bsdf.ROULETTE_START)
+        work[at.ALIVE + i] = ONE if (kind >= 0) & ((survive < bsdf.SURVIVAL) | (not long)) else ZERO
+        put3(work, at.THROUGHPUT, i, vec.scale(get3(work, at.THROUGHPUT, i), ONE / bsdf.SURVIVAL if long else ONE))
+
+
+@inline
+def _bounce(work):
+    """Lanes at non-specular surfaces, all as if they were diffuse: `particles.scatter_particle` for lanes."""
+    words = work.view(np.int32)
+    for i in range(LANES):
+        n, weight = get3(work, at.NORMAL, i), get3(work, at.REFLECTANCE, i)
+        survival = min(bsdf.SURVIVAL, vec.max3(weight))
+        flux = vec.scale(vec.mul(get3(work, at.THROUGHPUT, i), weight), ONE / survival)
+        out = vec.to_world(warp.cosine_hemisphere(work[at.U + i], work[at.V + i]), n)
+        origin = vec.along(get3(work, at.POINT, i), n, work[at.OFFSET + i])
+        if words[at.KIND + i] < MIRROR:
+            put3(work, RAY16, i, origin)
+            put3(work, RAY16 + 64, i, out)
+            put3(work, at.CONTRIBUTION, i, get3(work, at.THROUGHPUT, i))
+            put3(work, at.THROUGHPUT, i, flux)
+            work[at.ALIVE + i] = work[at.ALIVE + i] if work[at.SURVIVE + i] < survival else ZERO
+
+
+@inline
+def _bounce_on_gloss(scene, work):
+    """What `_bounce` has put down for lanes with gloss, put right."""
+    words = work.view(np.int32)
+    for i in range(LANES):
+        if words[at.KIND + i] != PHONG:
+            continue
+        n, back = get3(work, at.NORMAL, i), vec.neg(get3(work, at.DIRECTION, i))
+        choice, u, v = work[at.CHOICE + i], work[at.U + i], work[at.V + i]
+        direction, weight = bsdf.sample_weight(scene, words[at.MATERIAL + i], n, back, choice, u, v)
+        survival = min(bsdf.SURVIVAL, vec.max3(weight))
+        put3(work, RAY16 + 64, i, direction)
+        put3(work, at.THROUGHPUT, i, vec.scale(vec.mul(get3(work, at.CONTRIBUTION, i), weight), ONE / survival))
+        work[at.ALIVE + i] = ONE if work[at.SURVIVE + i] < survival else ZERO
+
+
+@inline
+def _settle(work):
+    """Lanes without flux end; the others count the vertex."""
+    words = work.view(np.int32)
+    for i in range(LANES):
+        mirrors = is_specular(words[at.KIND + i])
+        words[at.DEPTH + i] += np.int32(0) if mirrors else np.int32(1)
+        words[at.CHAIN + i] = words[at.CHAIN + i] + np.int32(1) if mirrors else np.int32(0)
+        work[at.ALIVE + i] = work[at.ALIVE + i] if vec.max3(get3(work, at.THROUGHPUT, i)) > ZERO else ZERO
+
+
+@inline
+def wait(work, queue, count):
+    """Let the rays of the lanes that are alive wait behind `count` others. Returns how many wait."""
+    words, waiting = work.view(np.int32), queue.view(np.int32)
+    alive = 0
+    for i in range(LANES):
+        words[at.SPLITS + np.uint64(alive)] = i
+        alive += work[at.ALIVE + i] > ZERO
+    if alive == LANES and count & 15 == 0:
+        _wait_in_a_block(work, queue[(count >> 4) * at.BLOCK_WORDS : (count // LANES + 1) * at.BLOCK_WORDS])
+        return count + LANES
+    for j in range(alive):
+        i = np.uint64(words[at.SPLITS + j])
+        to = np.uint64(((count + j) >> 4) * at.BLOCK_WORDS + ((count + j) & 15))
+        for row in range(3):
+            queue[to + np.uint64(_ORIGIN + 16 * row)] = work[i + np.uint64(RAY16 + 16 * row)]
+            queue[to + np.uint64(_DIRECTION + 16 * row)] = work[i + np.uint64(RAY16 + 64 + 16 * row)]
+            queue[to + np.uint64(_FLUX + 16 * row)] = work[i + np.uint64(at.THROUGHPUT + 16 * row)]
+            waiting[to + np.uint64(_COUNTS + 16 * row)] = words[i + np.uint64(at.PIXEL + 16 * row)]
+        key = work.view(np.uint64)[i + np.uint64(at.KEY // 2)]
+        block = np.uint64(((count + j) >> 4) * (at.BLOCK_WORDS // 2) + ((count + j) & 15))
+        queue.view(np.uint64)[block + np.uint64(_KEY // 2)] = key
+    return count + alive
+
+
+@inline
+def _wait_in_a_block(work, block):
+    """So do all 16 in a block of their own, as emission leaves them."""
+    words, waiting = work.view(np.int32), block.view(np.int32)
+    for i in range(LANES):
+        put3(block, _ORIGIN, i, get3(work, RAY16, i))
+        put3(block, _DIRECTION, i, get3(work, RAY16 + 64, i))
+        put3(block, _FLUX, i, get3(work, at.THROUGHPUT, i))
+        put3(waiting, _COUNTS, i, get3(words, at.PIXEL, i))
+        block.view(np.uint64)[_KEY // 2 + i] = work.view(np.uint64)[at.KEY // 2 + i]
