@@ -1,7 +1,9 @@
-"""What all IWS estimators share: the vertices that wait for their full radiance, and how rays find them.
+"""What all IWS estimators share: a tile of 16 pixels, its vertices that wait for their full radiance, and their rays.
 
-A vertex on the stack is a non-specular point p with its throughput to the pixel. Its full radiance is Le + L_d + L_c;
-the virtual lights of the first vertex are summed for a tile of 16 pixels at once, those of deeper ones for each vertex.
+The full radiance of a vertex is Le + L_d + L_c; the virtual lights of the first vertices are summed for the tile at
+once, those of deeper ones for each vertex. An estimator takes up to 16 vertices (`vertices.take`) and has each of them
+send its rays; ray j of all of them is then one packet, whose specular chains are followed side by side (`trace`). What
+a pixel gets is in `PassWork.light`.
 """
 
 import math
@@ -11,70 +13,98 @@ import numpy as np
 
 from causticmpi.estimators import weak_singularities as ws
 from causticmpi.estimators.light_tracing import owns
+from causticmpi.estimators.vertices import WAITING, Vertex, Vertices, empty_vertices, get, put
 from causticmpi.kernels import bsdf, rng, vec
-from causticmpi.kernels.camera import lane_direction, see_packet
-from causticmpi.kernels.embree import LANES, intersect, lane_hit
-from causticmpi.kernels.eye_path import emitted, facing, follow_chain
+from causticmpi.kernels.camera import see_packet
+from causticmpi.kernels.embree import (
+    LANES,
+    RAY16,
+    TFAR,
+    intersect_packet,
+    lane_direction,
+    lane_hit,
+    lane_origin,
+)
+from causticmpi.kernels.eye_path import emitted, facing, follow_chains
 from causticmpi.kernels.jit import inline
 from causticmpi.kernels.material_kinds import DIFFUSE
-from causticmpi.kernels.traced_scene import is_specular
-from causticmpi.kernels.vec import BLACK, INV_PI, ONE, WHITE, ZERO
+from causticmpi.kernels.pixels import add_sample
+from causticmpi.kernels.traced_scene import hit_point, is_specular
+from causticmpi.kernels.vec import INFINITY, INV_PI, ONE, WHITE, ZERO
 
 CHOICE, DIRECTION, FEW, CHAIN, SAMPLE = 0, 1, 2, 3, 4
 """Dimensions and subkeys of a vertex key; SAMPLE + j names the j-th ray of the vertex."""
-STACK = 512
-"""Vertices waiting. A depth-first stack holds at most the samples of the first vertex and two of each deeper one."""
 DIFFUSIVE, CAUSTIC = 0, 1
+ANYTHING, ON_DIFFUSE, ON_SPECULAR = 0, 1, 2
+"""What counts of what a ray hits: on D it is a compensation, on S a caustic."""
+RAY_WORDS = 8
+OUT_OF_USE = np.float32(-1)
 
 
-class Vertex(NamedTuple):
-    """A non-specular vertex that waits for its full radiance.
+class Rays(NamedTuple):
+    """Rays to send: row 16 j + i is the j-th of vertex i.
 
-    p: off its surface by `offset`; n: on the side of the eye; wo: unit direction back to the eye; throughput to the
-    pixel; material; depth: non-specular vertices before it; layer its light belongs to; key of its random numbers
+    reals (rows, 8) float32: direction, throughput to the pixel, random number of the roulette, reach (OUT_OF_USE for
+    none); counts (rows,) int64: ANYTHING, ON_DIFFUSE or ON_SPECULAR; key (rows,) uint64
     """
 
-    p: Any
-    offset: Any
-    n: Any
-    wo: Any
+    reals: Any
+    counts: Any
+    key: Any
+
+
+class Hits(NamedTuple):
+    """What a packet has hit, by lane: first (16, 2) float32: distance of the first hit, and whether that is on S;
+    primitive int64, distance float32: of the end of the specular chain; throughput (16, 3), key of the chain."""
+
+    first: Any
+    primitive: Any
+    distance: Any
     throughput: Any
-    material: Any
-    depth: Any
-    layer: Any
     key: Any
 
 
 class PassWork(NamedTuple):
-    """Workspace of a pass: packet (see weak_singularities), per-lane and per-vertex records, the forecast's workspace.
+    """Workspace of a pass: packet (see weak_singularities), the vertices that wait and those worked on, their rays, what
+    a packet of these has hit, and the forecast's workspace.
 
-    The stack of `Vertex`: vertex (STACK, 13) float32: p, offset, n, wo, throughput; tag (STACK, 3) int64: material,
-    depth, layer; key (STACK,) uint64. lane (16, 5) float32: throughput, in use, and drawn (light tracing owns its
-    caustics); lane_material, lane_key (16,); le (16, 3): light of the tile's pixels so far.
+    lane (16, 5) float32: throughput of the first vertex, in use, and drawn (light tracing owns its caustics);
+    lane_material, lane_key (16,); light (16, 6): L_d and L_c of the tile's pixels so far.
     """
 
     packet: Any
-    vertex: Any
-    tag: Any
-    key: Any
+    waiting: Vertices
+    now: Vertices
+    rays: Rays
+    hits: Hits
     lane: Any
     lane_material: Any
     lane_key: Any
-    le: Any
+    light: Any
     forecast: Any
 
 
-def pass_work(forecast: Any) -> PassWork:
-    """Workspace around that of the forecast."""
+def pass_work(forecast: Any, most_rays: int) -> PassWork:
+    """Workspace around that of the forecast; most_rays: that a vertex sends."""
+    rows = LANES * most_rays
+    rays = Rays(np.full((rows, RAY_WORDS), OUT_OF_USE, np.float32), np.zeros(rows, np.int64), np.zeros(rows, np.uint64))
+    hits = Hits(
+        np.zeros((LANES, 2), np.float32),
+        np.zeros(LANES, np.int64),
+        np.zeros(LANES, np.float32),
+        np.zeros((LANES, 3), np.float32),
+        np.zeros(LANES, np.uint64),
+    )
     return PassWork(
         packet=ws.packet_buffer(),
-        vertex=np.zeros((STACK, 13), np.float32),
-        tag=np.zeros((STACK, 3), np.int64),
-        key=np.zeros(STACK, np.uint64),
+        waiting=empty_vertices(WAITING + 2 * rows),
+        now=empty_vertices(LANES),
+        rays=rays,
+        hits=hits,
         lane=np.zeros((LANES, 5), np.float32),
         lane_material=np.zeros(LANES, np.int64),
         lane_key=np.zeros(LANES, np.uint64),
-        le=np.zeros((LANES, 3), np.float32),
+        light=np.zeros((LANES, 6), np.float32),
         forecast=forecast,
     )
 
@@ -85,30 +115,33 @@ def see_tile(scene, camera, work, pixels, first, seed, pass_index, splats):
 
     splats: light tracing draws the caustics on what it owns of what is seen directly.
     """
-    packet = work.packet
-    used = 0
+    packet, hits, lane = work.packet, work.hits, work.lane
     traced = see_packet(scene, camera, packet, pixels, first, seed, pass_index)
     for i in range(LANES):
+        lane[i, 3] = lane[i, 4] = ZERO
+        hits.primitive[i], hits.distance[i] = lane_hit(scene.triangle_count, packet, i)
+        hits.throughput[i, 0], hits.throughput[i, 1], hits.throughput[i, 2] = WHITE
+        work.lane_key[i] = rng.make_key(seed, rng.CAMERA, pass_index, pixels[first + i, 2])
+        hits.key[i] = rng.subkey(work.lane_key[i], CHAIN)
+        if splats and hits.primitive[i] >= 0 and not is_specular(scene.kind[scene.material[hits.primitive[i]]]):
+            lane[i, 4] = ONE
+    traced += follow_chains(scene, packet, hits.primitive, hits.distance, hits.throughput, hits.key)
+    used = 0
+    for i in range(LANES):
+        for c in range(6):
+            work.light[i, c] = ZERO
         for c in range(3):
             packet[ws.NORMAL + 16 * c + i] = ZERO
-            work.le[i, c] = ZERO
         packet[ws.EPSILON + i] = ZERO
-        work.lane[i, 3] = work.lane[i, 4] = ZERO
-        if pixels[first + i, 0] < 0:
-            continue
-        key = rng.make_key(seed, rng.CAMERA, pass_index, pixels[first + i, 2])
-        origin, direction = vec.row(camera, 0), lane_direction(packet, i)
-        seen, t = lane_hit(scene.triangle_count, packet, i)
-        primitive, p, n, offset, direction, throughput, more = follow_chain(
-            scene, packet, origin, direction, seen, t, WHITE, rng.subkey(key, CHAIN)
-        )
-        traced += more
+        primitive = hits.primitive[i]
         if primitive < 0:
             continue
+        direction, throughput = lane_direction(packet, i), vec.row(hits.throughput, i)
+        p, n, offset = hit_point(scene, primitive, lane_origin(packet, i), direction, hits.distance[i])
         light = vec.mul(throughput, emitted(scene, primitive, n, direction))
         material = np.int64(scene.material[primitive])
         for c in range(3):
-            work.le[i, c] = light[c]
+            work.light[i, c] = light[c]
         if vec.max3(bsdf.albedo(scene, material)) <= ZERO:
             continue
         n = facing(n, direction)
@@ -117,20 +150,19 @@ def see_tile(scene, camera, work, pixels, first, seed, pass_index, splats):
             packet[ws.POINT + 16 * c + i] = p[c]
             packet[ws.NORMAL + 16 * c + i] = n[c]
             packet[ws.OUT + 16 * c + i] = -direction[c]
-            work.lane[i, c] = throughput[c]
+            lane[i, c] = throughput[c]
         packet[ws.EPSILON + i] = offset
-        work.lane[i, 3] = ONE
-        if splats and not is_specular(scene.kind[scene.material[seen]]) and owns(scene, material):
-            work.lane[i, 4] = ONE
+        lane[i, 3] = ONE
+        if not owns(scene, material):
+            lane[i, 4] = ZERO
         work.lane_material[i] = material
-        work.lane_key[i] = key
         used += 1
     return used, traced
 
 
 @inline
 def gather_lights(scene, work, lights, count, bound):
-    """Add all virtual lights to `work.le` of a tile. Returns shadow rays traced."""
+    """Add all virtual lights to the light of a tile. Returns shadow rays traced."""
     packet = work.packet
     glossy = False
     for i in range(LANES):
@@ -143,42 +175,34 @@ def gather_lights(scene, work, lights, count, bound):
                 x = packet[ws.SUM + 16 * c + i]
                 if not glossy:
                     x *= scene.reflectance[work.lane_material[i], c] * INV_PI
-                work.le[i, c] += work.lane[i, c] * x
+                work.light[i, c] += work.lane[i, c] * x
     return traced
 
 
 @inline
-def gather_few(scene, work, lights, count, few, at, bound):
-    """An unbiased few of the virtual lights at a vertex (weak_singularities), without its throughput.
+def add_light(work, lane, layer, light):
+    """To a pixel of the tile."""
+    for c in range(3):
+        work.light[lane, 3 * layer + c] += light[c]
 
-    Returns RGB radiance, shadow rays traced.
-    """
+
+@inline
+def gather_few(scene, work, lights, count, few, at, bound):
+    """Add an unbiased few of the virtual lights of a vertex (weak_singularities). Returns shadow rays traced."""
     u, _ = rng.uniform2(at.key, FEW)
     packet = work.packet
-    return ws.gather_few(scene, packet, lights, count, few, at.p, at.n, at.offset, at.wo, at.material, bound, u)
+    light, traced = ws.gather_few(
+        scene, packet, lights, count, few, at.p, at.n, at.offset, at.wo, at.material, bound, u
+    )
+    add_light(work, at.lane, at.layer, vec.mul(at.throughput, light))
+    return traced
 
 
 @inline
-def push(work, top, at):
-    """Put a vertex on the stack; returns the new top."""
-    row = work.vertex[top]
-    row[0], row[1], row[2] = at.p
-    row[3] = at.offset
-    row[4], row[5], row[6] = at.n
-    row[7], row[8], row[9] = at.wo
-    row[10], row[11], row[12] = at.throughput
-    work.tag[top, 0], work.tag[top, 1], work.tag[top, 2] = at.material, at.depth, at.layer
-    work.key[top] = at.key
-    return top + 1
-
-
-@inline
-def push_lane(work, lane):
-    """Put the first vertex of a lane on the empty stack; returns the top, 0 for a lane out of use."""
-    if work.lane[lane, 3] == ZERO:
-        return 0
+def first_vertex(work, lane):
+    """The first vertex of a lane, which is in use."""
     packet = work.packet
-    first = Vertex(
+    return Vertex(
         (packet[ws.POINT + lane], packet[ws.POINT + 16 + lane], packet[ws.POINT + 32 + lane]),
         packet[ws.EPSILON + lane],
         (packet[ws.NORMAL + lane], packet[ws.NORMAL + 16 + lane], packet[ws.NORMAL + 32 + lane]),
@@ -187,58 +211,110 @@ def push_lane(work, lane):
         work.lane_material[lane],
         0,
         DIFFUSIVE,
+        lane,
         rng.subkey(work.lane_key[lane], SAMPLE),
     )
-    return push(work, 0, first)
 
 
 @inline
-def pop(work, top):
-    """The vertex below `top`."""
-    row = work.vertex[top - 1]
-    return Vertex(
-        (row[0], row[1], row[2]),
-        row[3],
-        (row[4], row[5], row[6]),
-        (row[7], row[8], row[9]),
-        (row[10], row[11], row[12]),
-        work.tag[top - 1, 0],
-        work.tag[top - 1, 1],
-        work.tag[top - 1, 2],
-        work.key[top - 1],
-    )
+def send(work, i, j, direction, weight, reach, survive, key, counts):
+    """Let the j-th ray of vertex i wait for its packet. weight: its throughput to the pixel; reach: beyond it nothing
+    counts; counts: of ANYTHING, ON_DIFFUSE, ON_SPECULAR."""
+    row = LANES * j + i
+    ray = work.rays.reals[row]
+    ray[0], ray[1], ray[2] = direction
+    ray[3], ray[4], ray[5] = weight
+    ray[6] = survive
+    ray[7] = reach if vec.max3(weight) > ZERO else OUT_OF_USE
+    work.rays.counts[row] = counts
+    work.rays.key[row] = key
 
 
 @inline
-def land(scene, work, top, at, direction, weight, primitive, t, bound, survive, key):
-    """What a ray from vertex `at` brings home. (primitive, t) is its hit; weight: the ray's throughput to the pixel.
+def compensate(scene, work, i, at, reach):
+    """One BRDF ray from vertex i for what the bound takes from its virtual lights; what it hits on S counts nothing.
+
+    reach: sqrt(largest peak / bound); beyond sqrt(cos sharpness) of it G s <= b for any surface.
+    """
+    key = rng.subkey(at.key, SAMPLE)
+    choice, survive = rng.uniform2(key, CHOICE)
+    u, v = rng.uniform2(key, DIRECTION)
+    direction, weight = bsdf.sample_weight(scene, at.material, at.n, at.wo, choice, u, v)
+    cosine = vec.dot(at.n, direction)
+    if cosine > ZERO:
+        sharp = ws.sharpness(bsdf.evaluate(scene, at.material, at.n, at.wo, direction))
+        far = math.sqrt(cosine * sharp) * reach
+        send(work, i, 0, direction, vec.mul(at.throughput, weight), far, survive, key, ON_DIFFUSE)
+
+
+@inline
+def trace(scene, work, top, bound):
+    """Trace the rays of the vertices in `work.now`: light they see goes to its pixel, vertices they find wait.
+
+    Returns how many wait now, rays traced, vertices lost for want of room.
+    """
+    packet, rays, hits = work.packet, work.rays, work.hits
+    traced, lost = 0, 0
+    for first in range(0, rays.counts.shape[0], LANES):
+        sent = 0
+        for i in range(LANES):
+            ray, start = rays.reals[first + i], work.now.reals[i]
+            for c in range(3):
+                packet[RAY16 + 16 * c + i] = start[c]
+                packet[RAY16 + 16 * (4 + c) + i] = ray[c]
+                hits.throughput[i, c] = ray[3 + c]
+            packet[RAY16 + 16 * TFAR + i] = ray[7]
+            sent += ray[7] > ZERO
+        if sent == 0:
+            continue
+        intersect_packet(scene.handle, packet)
+        traced += sent
+        for i in range(LANES):
+            primitive, t = lane_hit(scene.triangle_count, packet, i)
+            if primitive >= 0:
+                caustic = is_specular(scene.kind[scene.material[primitive]])
+                if rays.counts[first + i] == (ON_DIFFUSE if caustic else ON_SPECULAR):
+                    primitive = np.int64(-1)
+                hits.first[i, 0], hits.first[i, 1] = t, ONE if caustic else ZERO
+                hits.key[i] = rng.subkey(rays.key[first + i], CHAIN)
+            hits.primitive[i], hits.distance[i] = primitive, t
+        traced += follow_chains(scene, packet, hits.primitive, hits.distance, hits.throughput, hits.key)
+        for i in range(LANES):
+            if hits.primitive[i] >= 0:
+                top, missing = _land(scene, work, top, i, first + i, bound)
+                lost += missing
+            rays.reals[first + i, 7] = OUT_OF_USE
+    return top, traced, lost
+
+
+@inline
+def _land(scene, work, top, i, row, bound):
+    """What ray `row` of vertex i brings home.
 
     On D: the compensation, the radiance of that vertex times 1 - w (eq. w of weak_singularities). On S: a caustic, the
-    whole radiance of the vertex at the end of the specular chain. The vertex is pushed if it lives through the
-    roulette.
-    Returns new top, the layer its light belongs to, emitted light seen, rays traced, vertices lost to a full stack.
+    whole radiance of the vertex at the end of the specular chain. The vertex waits if it lives through the roulette.
+    Returns as `trace`.
     """
-    caustic = is_specular(scene.kind[scene.material[primitive]])
-    hit_layer = CAUSTIC if (at.depth == 0 and caustic) else at.layer
-    distance = t
-    primitive, q, m, offset, arrived, weight, traced = follow_chain(
-        scene, work.packet, at.p, direction, primitive, t, weight, rng.subkey(key, CHAIN)
-    )
-    if primitive < 0:
-        return top, hit_layer, BLACK, traced, 0
+    at, hits = get(work.now, i), work.hits
+    distance, caustic = hits.first[i, 0], hits.first[i, 1] > ZERO
+    layer = np.int64(CAUSTIC) if (at.depth == 0 and caustic) else at.layer
+    primitive, arrived = hits.primitive[i], lane_direction(work.packet, i)
+    weight = vec.row(hits.throughput, i)
+    q, m, offset = hit_point(scene, primitive, lane_origin(work.packet, i), arrived, hits.distance[i])
     light = vec.mul(weight, emitted(scene, primitive, m, arrived))
     m = facing(m, arrived)
     other = np.int64(scene.material[primitive])
     if not caustic:
-        geometry = vec.dot(at.n, direction) * -vec.dot(m, direction) / (distance * distance)
-        sharp = ws.sharpness(bsdf.evaluate(scene, at.material, at.n, at.wo, direction))
+        geometry = vec.dot(at.n, arrived) * -vec.dot(m, arrived) / (distance * distance)
+        sharp = ws.sharpness(bsdf.evaluate(scene, at.material, at.n, at.wo, arrived))
         light = vec.scale(light, ONE - ws.bounded_share(geometry, sharp, bound))
         weight = vec.scale(weight, ONE - ws.bounded_share(geometry, sharp * bsdf.peak(scene, other), bound))
+    add_light(work, at.lane, layer, light)
     survival = min(bsdf.SURVIVAL, vec.max3(vec.mul(weight, bsdf.albedo(scene, other))))
-    if survive >= survival:
-        return top, hit_layer, light, traced, 0
-    if top >= STACK:
-        return top, hit_layer, light, traced, 1
+    if work.rays.reals[row, 6] >= survival:
+        return top, 0
+    if top >= work.waiting.key.shape[0]:
+        return top, 1
     found = Vertex(
         vec.along(q, m, offset),
         offset,
@@ -247,31 +323,18 @@ def land(scene, work, top, at, direction, weight, primitive, t, bound, survive, 
         vec.scale(weight, ONE / survival),
         other,
         at.depth + 1,
-        hit_layer,
-        rng.subkey(key, SAMPLE),
+        layer,
+        at.lane,
+        rng.subkey(work.rays.key[row], SAMPLE),
     )
-    return push(work, top, found), hit_layer, light, traced, 0
+    put(work.waiting, top, found)
+    return top + 1, 0
 
 
 @inline
-def compensate(scene, work, top, at, bound, reach):
-    """One BRDF ray from vertex `at` for what the bound takes from its virtual lights; what it hits on S counts nothing.
-
-    reach: sqrt(largest peak / bound); beyond sqrt(cos sharpness) of it G s <= b for any surface.
-    Returns new top, what it adds to the layer of the vertex, rays traced, vertices lost to a full stack.
-    """
-    key = rng.subkey(at.key, SAMPLE)
-    choice, survive = rng.uniform2(key, CHOICE)
-    u, v = rng.uniform2(key, DIRECTION)
-    direction, weight = bsdf.sample_weight(scene, at.material, at.n, at.wo, choice, u, v)
-    cosine = vec.dot(at.n, direction)
-    weight = vec.mul(at.throughput, weight)
-    if cosine <= ZERO or vec.max3(weight) <= ZERO:
-        return top, BLACK, 0, 0
-    sharp = ws.sharpness(bsdf.evaluate(scene, at.material, at.n, at.wo, direction))
-    far = math.sqrt(cosine * sharp) * reach
-    primitive, t = intersect(scene.handle, scene.triangle_count, work.packet, at.p, direction, far)
-    if primitive < 0 or is_specular(scene.kind[scene.material[primitive]]):
-        return top, BLACK, 1, 0
-    top, _, light, traced, lost = land(scene, work, top, at, direction, weight, primitive, t, bound, survive, key)
-    return top, light, 1 + traced, lost
+def deposit(work, pixels, first, film):
+    """Hand the light of the tile over to the film."""
+    for i in range(LANES):
+        if pixels[first + i, 0] >= 0:
+            light = work.light[i]
+            add_sample(film, pixels[first + i, 3], (light[0], light[1], light[2]), (light[3], light[4], light[5]))

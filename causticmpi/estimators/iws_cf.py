@@ -17,76 +17,44 @@ import numpy as np
 from causticmpi.estimators import caustic_forecast as cf
 from causticmpi.estimators import directional_tables as dt
 from causticmpi.estimators import full_radiance as fr
+from causticmpi.estimators.vertices import get, put, take
 from causticmpi.kernels import bsdf, rng, vec
-from causticmpi.kernels.embree import LANES, intersect
+from causticmpi.kernels.embree import LANES
 from causticmpi.kernels.jit import inline, kernel
-from causticmpi.kernels.pixels import add_sample
-from causticmpi.kernels.traced_scene import is_specular
-from causticmpi.kernels.vec import BLACK, INFINITY, ONE, ZERO
+from causticmpi.kernels.vec import INFINITY, ONE, ZERO
 from causticmpi.preprocess.forecast import cluster_of
 
 
 @inline
-def _expand(scene, work, lights, count, maps, few, bound, compensation_reach, caustics, top):
-    """Take the vertex on top of the stack, estimate its radiance, push the vertices that carry light to it.
-
-    Returns the new top, the layer of the vertex, what it adds to that layer and what to L_c; rays traced, and vertices
-    lost to a full stack.
-    """
-    at = fr.pop(work, top)
-    top -= 1
-    own, caustic = BLACK, BLACK
-    traced, samples, cluster = 0, 0, 0
-    if at.depth > 0:
-        light, traced = fr.gather_few(scene, work, lights, count, few, at, bound)
-        own = vec.mul(at.throughput, light)
+def _send_rays(scene, work, maps, compensation_reach, caustics, i):
+    """The rays of vertex i, for B and C."""
+    at = get(work.now, i)
+    samples, cluster = 0, 0
     if caustics and maps.codebook.shape[1] > 0:
         cluster = cluster_of(maps, at.p, at.n, work.forecast.codeword_distance)
         samples = cf.splitting(maps, maps.rank[cluster], at.depth)
     if samples == 0 and (caustics or at.depth > 0):
-        top, hit_layer, light, more, lost = _send_one_for_both(scene, work, top, at, bound)
+        _send_one_for_both(scene, work, i, at)
     else:
-        hit_layer = at.layer
-        top, light, more, lost = fr.compensate(scene, work, top, at, bound, compensation_reach)
-    traced += more
-    if hit_layer == at.layer:
-        own = vec.add(own, light)
-    else:
-        caustic = light
+        fr.compensate(scene, work, i, at, compensation_reach)
     if samples > 0:
-        top, own, caustic, more, missing = _forecast(scene, work, maps, cluster, samples, bound, top, at, own, caustic)
-        traced += more
-        lost += missing
-    return top, at.layer, own, caustic, traced, lost
+        _forecast(scene, work, maps, cluster, samples, i, at)
 
 
 @inline
-def _send_one_for_both(scene, work, top, at, bound):
-    """B and C by one BRDF ray. Returns as `full_radiance.land`."""
+def _send_one_for_both(scene, work, i, at):
+    """B and C by one BRDF ray."""
     key = rng.subkey(at.key, fr.SAMPLE)
     choice, survive = rng.uniform2(key, fr.CHOICE)
     u, v = rng.uniform2(key, fr.DIRECTION)
     direction, weight = bsdf.sample_weight(scene, at.material, at.n, at.wo, choice, u, v)
-    weight = vec.mul(at.throughput, weight)
-    if vec.dot(at.n, direction) <= ZERO or vec.max3(weight) <= ZERO:
-        return top, at.layer, BLACK, 0, 0
-    primitive, t = intersect(scene.handle, scene.triangle_count, work.packet, at.p, direction, INFINITY)
-    if primitive < 0:
-        return top, at.layer, BLACK, 1, 0
-    top, layer, light, traced, lost = fr.land(
-        scene, work, top, at, direction, weight, primitive, t, bound, survive, key
-    )
-    return top, layer, light, 1 + traced, lost
+    if vec.dot(at.n, direction) > ZERO:
+        fr.send(work, i, 0, direction, vec.mul(at.throughput, weight), INFINITY, survive, key, fr.ANYTHING)
 
 
 @inline
-def _forecast(scene, work, maps, cluster, samples, bound, top, at, own, caustic):
-    """C: S = samples directions from each sampler of the forecast; what they hit on D counts nothing, for it is B's.
-
-    own, caustic: light of the vertex so far, in its own layer and in L_c. Returns the new top, both with what is added;
-    rays traced, and vertices lost to a full stack.
-    """
-    traced, lost = 0, 0
+def _forecast(scene, work, maps, cluster, samples, i, at):
+    """C: S = samples directions from each sampler of the forecast; what they hit on D counts nothing, for it is B's."""
     share = ONE / np.float32(samples)
     near = work.forecast
     k = cf.gather(maps, near, cluster, at.p)
@@ -102,24 +70,8 @@ def _forecast(scene, work, maps, cluster, samples, bound, top, at, own, caustic)
             continue
         f = bsdf.evaluate(scene, at.material, at.n, at.wo, direction)
         weight = vec.scale(f, max(ZERO, vec.dot(at.n, direction)) * share / density)
-        weight = vec.mul(at.throughput, weight)
-        if vec.max3(weight) <= ZERO:
-            continue
-        primitive, t = intersect(scene.handle, scene.triangle_count, work.packet, at.p, direction, INFINITY)
-        traced += 1
-        if primitive < 0 or not is_specular(scene.kind[scene.material[primitive]]):
-            continue
-        top, hit_layer, light, more, missing = fr.land(
-            scene, work, top, at, direction, weight, primitive, t, bound, survive, key
-        )
-        traced += more
-        lost += missing
-        if hit_layer == at.layer:
-            own = vec.add(own, light)
-        else:
-            caustic = vec.add(caustic, light)
+        fr.send(work, i, 1 + j, direction, vec.mul(at.throughput, weight), INFINITY, survive, key, fr.ON_SPECULAR)
     dt.clear_tables(near, occupied)
-    return top, own, caustic, traced, lost
 
 
 @kernel
@@ -140,21 +92,20 @@ def trace_iws_cf(
         traced += rays
         if used > 0:
             traced += fr.gather_lights(scene, work, lights, count, bound)
-        for i in range(LANES):
-            if pixels[first + i, 0] < 0:
-                continue
-            diffusive, caustic = vec.row(work.le, i), BLACK
-            top = fr.push_lane(work, i)
-            while top > 0:
-                top, layer, own, extra, rays, missing = _expand(
-                    scene, work, lights, count, maps, few, bound, compensation_reach, caustics, top
-                )
+            for i in range(LANES):
+                if work.lane[i, 3] > ZERO:
+                    put(work.now, i, fr.first_vertex(work, i))
+                    _send_rays(scene, work, maps, compensation_reach, caustics, i)
+            waiting, rays, missing = fr.trace(scene, work, 0, bound)
+            traced += rays
+            lost += missing
+            while waiting > 0:
+                waiting, taken = take(work.waiting, work.now, waiting)
+                for i in range(taken):
+                    traced += fr.gather_few(scene, work, lights, count, few, get(work.now, i), bound)
+                    _send_rays(scene, work, maps, compensation_reach, caustics, i)
+                waiting, rays, missing = fr.trace(scene, work, waiting, bound)
                 traced += rays
                 lost += missing
-                caustic = vec.add(caustic, extra)
-                if layer == fr.DIFFUSIVE:
-                    diffusive = vec.add(diffusive, own)
-                else:
-                    caustic = vec.add(caustic, own)
-            add_sample(film, pixels[first + i, 3], diffusive, caustic)
+        fr.deposit(work, pixels, first, film)
     return traced, lost

@@ -16,11 +16,11 @@ from causticmpi.estimators import caustic_mixture as cm
 from causticmpi.estimators import full_radiance as fr
 from causticmpi.estimators import weak_singularities as ws
 from causticmpi.estimators.caustic_forecast import splitting
+from causticmpi.estimators.vertices import get, put, take
 from causticmpi.kernels import bsdf, rng, vec
-from causticmpi.kernels.embree import LANES, intersect
+from causticmpi.kernels.embree import LANES
 from causticmpi.kernels.jit import inline, kernel
-from causticmpi.kernels.pixels import add_sample
-from causticmpi.kernels.vec import ALMOST_ONE, BLACK, HALF, INFINITY, TWO, ZERO
+from causticmpi.kernels.vec import ALMOST_ONE, HALF, INFINITY, TWO, ZERO
 from causticmpi.preprocess.cells import cell_of
 from causticmpi.preprocess.forecast import cluster_of
 
@@ -54,36 +54,19 @@ def _gather_for_tile(maps, work):
 
 
 @inline
-def _send(scene, work, top, at, direction, density, bound, survive, key):
-    """A ray from vertex `at` by a mixture whose samplers, times how often each is asked, have this density in sum: the
-    balance heuristic [Veach 1997, (9.8)]. Returns as `full_radiance.land`."""
-    weight = vec.scale(bsdf.evaluate(scene, at.material, at.n, at.wo, direction), vec.dot(at.n, direction) / density)
-    weight = vec.mul(at.throughput, weight)
-    if vec.max3(weight) <= ZERO:
-        return top, at.layer, BLACK, 0, 0
-    primitive, t = intersect(scene.handle, scene.triangle_count, work.packet, at.p, direction, INFINITY)
-    if primitive < 0:
-        return top, at.layer, BLACK, 1, 0
-    top, layer, light, traced, lost = fr.land(
-        scene, work, top, at, direction, weight, primitive, t, bound, survive, key
-    )
-    return top, layer, light, 1 + traced, lost
+def _send(scene, work, i, j, at, direction, density, survive, key):
+    """Ray j of vertex i by a mixture whose samplers, times how often each is asked, have this density in sum: the
+    balance heuristic [Veach 1997, (9.8)]."""
+    f = bsdf.evaluate(scene, at.material, at.n, at.wo, direction)
+    weight = vec.mul(at.throughput, vec.scale(f, vec.dot(at.n, direction) / density))
+    fr.send(work, i, j, direction, weight, INFINITY, survive, key, fr.ANYTHING)
 
 
 @inline
-def _expand_deep(scene, work, lights, count, maps, few, bound, top):
-    """Take a deeper vertex from the stack, estimate its radiance by a few virtual lights and a ray or two, push the
-    vertices that carry light to it.
-
-    One ray goes by BRDF or coarse directions, by the toss of a coin; DEEP_RAYS more by those of the cell, if there is
-    one. Returns the new top, the layer of the vertex, what it adds to that layer; rays traced, and vertices lost to a
-    full stack.
-    """
-    at = fr.pop(work, top)
-    top -= 1
-    light, traced = fr.gather_few(scene, work, lights, count, few, at, bound)
-    own = vec.mul(at.throughput, light)
-    lost = 0
+def _send_deep(scene, work, maps, i):
+    """The rays of deeper vertex i: one goes by BRDF or coarse directions, by the toss of a coin; DEEP_RAYS more by
+    those of its cell, if there is one."""
+    at = get(work.now, i)
     cluster = np.int64(cluster_of(maps, at.p, at.n, work.forecast.codeword_distance))
     cell = cell_of(maps, at.p, at.n)
     steered = DEEP_RAYS if cell >= 0 else 0
@@ -103,26 +86,15 @@ def _expand_deep(scene, work, lights, count, maps, few, bound, top):
         density = HALF * (brdf + cm.coarse_pdf(maps, cluster, direction))
         if steered > 0:
             density += np.float32(steered) * cm.cell_pdf(maps, cell, direction)
-        top, _, light, more, missing = _send(scene, work, top, at, direction, density, bound, survive, ray_key)
-        own = vec.add(own, light)
-        traced += more
-        lost += missing
-    return top, at.layer, own, traced, lost
+        _send(scene, work, i, j, at, direction, density, survive, ray_key)
 
 
 @inline
-def _expand_first(scene, work, maps, bound, lane):
-    """Estimate the radiance of the first vertex of a lane without its virtual lights, push the vertices that carry
-    light to it.
-
-    Returns the new top, what it adds to L_d and to L_c; rays traced, and vertices lost to a full stack.
-    """
-    at = fr.pop(work, 1)
-    top = 0
-    own, caustic = BLACK, BLACK
-    traced, lost = 0, 0
+def _send_first(scene, work, maps, i):
+    """The rays of first vertex i."""
+    at = get(work.now, i)
     near = work.forecast
-    group = near.group[lane]
+    group = near.group[i]
     cluster = near.cluster[group]
     fine_total = cm.weigh_fine(scene, near, group, at.n, at.wo, at.material)
     fine = splitting(maps, maps.rank[cluster], 0) if fine_total > ZERO else 0
@@ -149,14 +121,7 @@ def _expand_first(scene, work, maps, bound, lane):
             density += np.float32(fine) * cm.fine_pdf(near, group, fine_total, direction)
         elif cell >= 0:
             density += cm.cell_pdf(maps, cell, direction)
-        top, hit_layer, light, more, missing = _send(scene, work, top, at, direction, density, bound, survive, ray_key)
-        traced += more
-        lost += missing
-        if hit_layer == at.layer:
-            own = vec.add(own, light)
-        else:
-            caustic = vec.add(caustic, light)
-    return top, own, caustic, traced, lost
+        _send(scene, work, i, j, at, direction, density, survive, ray_key)
 
 
 @kernel
@@ -178,26 +143,24 @@ def trace_iws_mixture(
         if used > 0:
             traced += fr.gather_lights(scene, work, lights, count, bound)
             _gather_for_tile(maps, work)
-        for i in range(LANES):
-            if pixels[first + i, 0] < 0:
-                continue
-            diffusive, caustic = vec.row(work.le, i), BLACK
-            top = fr.push_lane(work, i)
-            if top > 0:
+            for i in range(LANES):
+                if work.lane[i, 3] == ZERO:
+                    continue
+                put(work.now, i, fr.first_vertex(work, i))
                 if work.lane[i, 4] > ZERO:
-                    top, own, rays, missing = fr.compensate(scene, work, 0, fr.pop(work, 1), bound, compensation_reach)
+                    fr.compensate(scene, work, i, get(work.now, i), compensation_reach)
                 else:
-                    top, own, caustic, rays, missing = _expand_first(scene, work, maps, bound, i)
-                diffusive = vec.add(diffusive, own)
+                    _send_first(scene, work, maps, i)
+            waiting, rays, missing = fr.trace(scene, work, 0, bound)
+            traced += rays
+            lost += missing
+            while waiting > 0:
+                waiting, taken = take(work.waiting, work.now, waiting)
+                for i in range(taken):
+                    traced += fr.gather_few(scene, work, lights, count, few, get(work.now, i), bound)
+                    _send_deep(scene, work, maps, i)
+                waiting, rays, missing = fr.trace(scene, work, waiting, bound)
                 traced += rays
                 lost += missing
-            while top > 0:
-                top, layer, own, rays, missing = _expand_deep(scene, work, lights, count, maps, few, bound, top)
-                traced += rays
-                lost += missing
-                if layer == fr.DIFFUSIVE:
-                    diffusive = vec.add(diffusive, own)
-                else:
-                    caustic = vec.add(caustic, own)
-            add_sample(film, pixels[first + i, 3], diffusive, caustic)
+        fr.deposit(work, pixels, first, film)
     return traced, lost

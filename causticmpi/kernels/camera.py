@@ -30,7 +30,7 @@ def film_position(camera, d):
 def see_packet(scene, camera, rays, pixels, first, seed, pass_index):
     """Trace the eye rays of 16 rows of `pixels`, a sample somewhere in each, as one packet. Returns the rays traced.
 
-    Hits are read by `embree.lane_hit`, directions by `lane_direction`.
+    Hits are read by `embree.lane_hit`, directions by `embree.lane_direction`.
     """
     used = 0
     for i in range(LANES):
@@ -51,9 +51,3 @@ def see_packet(scene, camera, rays, pixels, first, seed, pass_index):
         rays[RAY16 + 16 * 3 + i] = ZERO
     intersect_packet(scene.handle, rays)
     return used
-
-
-@inline
-def lane_direction(rays, lane):
-    """Direction of a lane of the packet."""
-    return rays[RAY16 + 16 * 4 + lane], rays[RAY16 + 16 * 5 + lane], rays[RAY16 + 16 * 6 + lane]

@@ -256,6 +256,18 @@ def lane_hit(triangle_count, rays, lane):
 
 
 @inline
+def lane_origin(rays, lane):
+    """Origin of a lane of the packet."""
+    return rays[RAY16 + lane], rays[RAY16 + 16 + lane], rays[RAY16 + 32 + lane]
+
+
+@inline
+def lane_direction(rays, lane):
+    """Direction of a lane of the packet."""
+    return rays[RAY16 + 16 * 4 + lane], rays[RAY16 + 16 * 5 + lane], rays[RAY16 + 16 * 6 + lane]
+
+
+@inline
 def visible(handle, rays, origin, target):
     """Whether nothing lies between two points, both already moved off their surfaces."""
     rays[0], rays[1], rays[2], rays[3] = origin[0], origin[1], origin[2], ZERO

@@ -3,7 +3,16 @@
 import numpy as np
 
 from causticmpi.kernels import bsdf, rng, vec
-from causticmpi.kernels.embree import intersect
+from causticmpi.kernels.embree import (
+    LANES,
+    RAY16,
+    TFAR,
+    intersect,
+    intersect_packet,
+    lane_direction,
+    lane_hit,
+    lane_origin,
+)
 from causticmpi.kernels.jit import inline
 from causticmpi.kernels.traced_scene import hit_point, is_specular
 from causticmpi.kernels.vec import INFINITY, ONE, ZERO
@@ -50,6 +59,52 @@ def follow_chain(scene, rays, origin, direction, primitive, t, throughput, key):
         traced += 1
         bounce += 1
     return primitive, p, n, offset, direction, throughput, traced
+
+
+@inline
+def follow_chains(scene, rays, primitive, distance, throughput, key):
+    """`follow_chain` for the lanes of the packet in `rays`, side by side.
+
+    primitive (16,) int64, -1 for none, distance (16,) float32: what the packet's rays have hit; throughput (16, 3); key
+    (16,) uint64. On return the packet has the last ray of each chain, and all of these say what became of it.
+    Returns rays traced.
+    """
+    traced = 0
+    bounce = 0
+    while True:
+        going = 0
+        for i in range(LANES):
+            rays[RAY16 + 16 * TFAR + i] = -ONE
+            if primitive[i] < 0 or not is_specular(scene.kind[scene.material[primitive[i]]]):
+                continue
+            origin, direction = lane_origin(rays, i), lane_direction(rays, i)
+            p, n, offset = hit_point(scene, primitive[i], origin, direction, distance[i])
+            u, survive = rng.uniform2(key[i], bounce)
+            w = vec.row(throughput, i)
+            hit = primitive[i]
+            primitive[i] = -1
+            if bounce >= bsdf.ROULETTE_START:
+                if survive >= bsdf.SURVIVAL:
+                    continue
+                w = vec.scale(w, ONE / bsdf.SURVIVAL)
+            p, direction, w = scatter_along_eye_path(scene, hit, n, p, offset, direction, w, u)
+            if vec.max3(w) <= ZERO:
+                continue
+            for c in range(3):
+                rays[RAY16 + 16 * c + i] = p[c]
+                rays[RAY16 + 16 * (4 + c) + i] = direction[c]
+                throughput[i, c] = w[c]
+            rays[RAY16 + 16 * TFAR + i] = INFINITY
+            going += 1
+        if going == 0:
+            return traced
+        intersect_packet(scene.handle, rays)
+        for i in range(LANES):
+            hit, t = lane_hit(scene.triangle_count, rays, i)
+            if hit >= 0:
+                primitive[i], distance[i] = hit, t
+        traced += going
+        bounce += 1
 
 
 @inline

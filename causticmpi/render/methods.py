@@ -148,7 +148,8 @@ class WeakSingularities(VirtualLighting):
             self.light_paths = 0
         tables = self.sampling if self.sampling != "mixture" else "two"
         self.light_work = particle_work()
-        self.work = pass_work(mixture_work(self.maps) if self.mixture else forecast_work(self.maps, tables))
+        forecast = mixture_work(self.maps) if self.mixture else forecast_work(self.maps, tables)
+        self.work = pass_work(forecast, 2 + 2 * self.maps.splitting)
 
     def trace(self, pixels: np.ndarray, film: np.ndarray) -> int:
         eye = (self.scene, self.camera, self.work, pixels, self.seed, self.pass_index)
@@ -157,9 +158,7 @@ class WeakSingularities(VirtualLighting):
             rays, lost = trace_iws_mixture(*eye, *light, self.peak, self.light_paths > 0, film)
         else:
             rays, lost = trace_iws_cf(*eye, *light, self.peak, self.caustics, film)
-        if lost:
-            raise RuntimeError(f"{lost} path vertices did not fit the stack: the picture would be biased")
-        return rays
+        return none_lost(rays, lost)
 
     def trace_light(self, pass_index: int, first: int, last: int, film: np.ndarray) -> int:
         x0, y0, x1, y1 = self.window
@@ -189,13 +188,19 @@ class PhotonMapping(VirtualLighting):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.work = pass_work(density_work(self.photons))
+        self.work = pass_work(density_work(self.photons), 1)
 
     def trace(self, pixels: np.ndarray, film: np.ndarray) -> int:
         eye = (self.scene, self.camera, self.work, pixels, self.seed, self.pass_index)
         light = (self.lights, self.light_count, self.photons, self.few, self.bound)
-        rays: int = trace_iws_pm(*eye, *light, self.peak, film)
-        return rays
+        return none_lost(*trace_iws_pm(*eye, *light, self.peak, film))
+
+
+def none_lost(rays: int, lost: int) -> int:
+    """The rays; raises RuntimeError if vertices were lost."""
+    if lost:
+        raise RuntimeError(f"{lost} path vertices did not fit the stack: the picture would be biased")
+    return rays
 
 
 def make_method(
