@@ -2,7 +2,7 @@
 
 from causticmpi.kernels import bsdf, rng, vec
 from causticmpi.kernels.camera import see_packet
-from causticmpi.kernels.embree import LANES, lane_direction, intersect, lane_hit
+from causticmpi.kernels.embree import LANES, intersect, lane_direction, lane_hit
 from causticmpi.kernels.eye_path import emitted, facing, scatter_along_eye_path
 from causticmpi.kernels.jit import kernel
 from causticmpi.kernels.path_stages import CHOICE, DIRECTION

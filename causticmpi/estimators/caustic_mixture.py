@@ -19,8 +19,8 @@ from causticmpi.kernels.embree import LANES
 from causticmpi.kernels.jit import inline
 from causticmpi.kernels.kdtree import MAX_DEPTH
 from causticmpi.kernels.material_kinds import DIFFUSE
-from causticmpi.kernels.vec import HALF, INV_TWO_PI, ONE, TWO, TWO_PI, ZERO
-from causticmpi.kernels.warp import pick
+from causticmpi.kernels.vec import HALF, INV_TWO_PI, ONE, TWO, ZERO
+from causticmpi.kernels.warp import pick, turn, turns
 from causticmpi.preprocess.cells import KEPT
 from causticmpi.preprocess.directions import COLUMNS, ROWS
 from causticmpi.preprocess.forecast import ForecastMaps, cluster_of
@@ -30,7 +30,8 @@ class MixtureWork(NamedTuple):
     """Workspace: what was gathered for the up to 16 groups of a tile.
 
     photons (16, 4, n) float32: direction and power of each group's photons; count (16,); cone (16,) float32: cosine of
-    the half angle; cluster (16,); group (16,): group of each lane, -1 out of use; cdf (n,): running sum of one vertex.
+    the half angle; cluster (16,); group (16,): group of each lane, -1 out of use; weight, cdf (n,): weights of a group
+    at one vertex, and their running sum.
     codeword_distance (m,), distance, row (n,), stack, plane: search.
     """
 
@@ -39,6 +40,7 @@ class MixtureWork(NamedTuple):
     cone: Any
     cluster: Any
     group: Any
+    weight: Any
     cdf: Any
     codeword_distance: Any
     distance: Any
@@ -56,6 +58,7 @@ def mixture_work(maps: ForecastMaps) -> MixtureWork:
         cone=np.zeros(LANES, np.float32),
         cluster=np.zeros(LANES, np.int64),
         group=np.zeros(LANES, np.int64),
+        weight=np.zeros(n, np.float32),
         cdf=np.zeros(n, np.float32),
         codeword_distance=np.zeros(maps.codebook.shape[1], np.float32),
         distance=np.zeros(n, np.float32),
@@ -85,14 +88,18 @@ def gather_group(maps, work, group, p, n):
 @inline
 def weigh_fine(scene, work, group, n, wo, material):
     """Weigh a group's photons by power, BRDF and cosine at one vertex. Returns their sum, 0 where none counts."""
+    count = work.count[group]
+    x, y, z = work.photons[group, 0], work.photons[group, 1], work.photons[group, 2]
+    power = work.photons[group, 3]
+    for i in range(count):
+        work.weight[i] = max(ZERO, n[0] * x[i] + n[1] * y[i] + n[2] * z[i]) * power[i]
+    if scene.kind[material] != DIFFUSE:
+        for i in range(count):
+            if work.weight[i] > ZERO:
+                work.weight[i] *= vec.luminance(bsdf.evaluate(scene, material, n, wo, (x[i], y[i], z[i])))
     total = ZERO
-    lambert = scene.kind[material] == DIFFUSE
-    for i in range(work.count[group]):
-        wi = (work.photons[group, 0, i], work.photons[group, 1, i], work.photons[group, 2, i])
-        w = max(ZERO, vec.dot(n, wi)) * work.photons[group, 3, i]
-        if w > ZERO and not lambert:
-            w *= vec.luminance(bsdf.evaluate(scene, material, n, wo, wi))
-        total += w
+    for i in range(count):
+        total += work.weight[i]
         work.cdf[i] = total
     return total
 
@@ -103,8 +110,8 @@ def _in_cone(axis, height, u, v):
     float32."""
     height *= u
     sine = math.sqrt(height * (TWO - height))
-    phi = TWO_PI * v
-    return vec.to_world((sine * math.cos(phi), sine * math.sin(phi), ONE - height), axis)
+    c, s = turn(v)
+    return vec.to_world((sine * c, sine * s, ONE - height), axis)
 
 
 @inline
@@ -121,23 +128,19 @@ def fine_pdf(work, group, total, direction):
     if total <= ZERO:
         return ZERO
     height = ONE - work.cone[group]
-    inside, before = ZERO, ZERO
+    x, y, z = work.photons[group, 0], work.photons[group, 1], work.photons[group, 2]
+    inside = ZERO
     for i in range(work.count[group]):
-        x = work.photons[group, 0, i] - direction[0]
-        y = work.photons[group, 1, i] - direction[1]
-        z = work.photons[group, 2, i] - direction[2]
+        a, b, c = x[i] - direction[0], y[i] - direction[1], z[i] - direction[2]
         # By the chord, 2 (1 - cosine): a comparison of cosines would lose samples of narrow cones to rounding.
-        inside += work.cdf[i] - before if x * x + y * y + z * z <= TWO * height else ZERO
-        before = work.cdf[i]
+        inside += work.weight[i] if a * a + b * b + c * c <= TWO * height else ZERO
     return inside / total * INV_TWO_PI / height
 
 
 @inline
 def coarse_bin(direction):
     """Bin of a unit direction: azimuth and height about the world's z axis, equal solid angles."""
-    phi: Any = math.atan2(direction[1], direction[0])
-    phi = phi + TWO_PI if phi < ZERO else phi
-    column: Any = min(COLUMNS - 1, np.int64(phi * (np.float32(COLUMNS) / TWO_PI)))
+    column: Any = min(COLUMNS - 1, np.int64(turns(direction[0], direction[1]) * np.float32(COLUMNS)))
     row: Any = max(0, min(ROWS - 1, np.int64((direction[2] + ONE) * (HALF * np.float32(ROWS)))))
     return row * COLUMNS + column
 
@@ -148,9 +151,9 @@ def sample_coarse(maps, cluster, choice, u, v):
     chosen: Any = pick(maps.coarse[cluster], choice)
     row = chosen // COLUMNS
     z = (np.float32(row) + u) * (TWO / np.float32(ROWS)) - ONE
-    phi = (np.float32(chosen - row * COLUMNS) + v) * (TWO_PI / np.float32(COLUMNS))
+    c, s = turn((np.float32(chosen - row * COLUMNS) + v) * np.float32(1 / COLUMNS))
     r = math.sqrt(max(ZERO, ONE - z * z))
-    return r * math.cos(phi), r * math.sin(phi), z
+    return r * c, r * s, z
 
 
 @inline
@@ -173,10 +176,9 @@ def sample_cell(maps, cell, choice, u, v):
 def cell_pdf(maps, cell, direction):
     """Density of `sample_cell`."""
     height = ONE - maps.cell_cone[cell]
-    inside: Any = 0
+    x, y, z = maps.cell_direction[cell, 0], maps.cell_direction[cell, 1], maps.cell_direction[cell, 2]
+    inside = ZERO
     for i in range(KEPT):
-        x = maps.cell_direction[cell, 0, i] - direction[0]
-        y = maps.cell_direction[cell, 1, i] - direction[1]
-        z = maps.cell_direction[cell, 2, i] - direction[2]
-        inside += np.int64(x * x + y * y + z * z <= TWO * height)
-    return np.float32(inside) * (INV_TWO_PI / np.float32(KEPT)) / height
+        a, b, c = x[i] - direction[0], y[i] - direction[1], z[i] - direction[2]
+        inside += ONE if a * a + b * b + c * c <= TWO * height else ZERO
+    return inside * (INV_TWO_PI / np.float32(KEPT)) / height

@@ -9,7 +9,6 @@ The workspace `work` is any with the fields `row`, `weight`, `bins`, `cdf`, `fil
 """
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from causticmpi.kernels import bsdf, vec
 from causticmpi.kernels.jit import inline
 from causticmpi.kernels.material_kinds import DIFFUSE
 from causticmpi.kernels.vec import HALF, INV_PI, ONE, TWO_PI, ZERO
+from causticmpi.kernels.warp import turn, turns
 
 FLOOR = np.float32(0.05)
 """Table 2 counts at least this share of the albedo as if it were Lambertian: the edge of a lobe inside a bin whose
@@ -29,9 +29,7 @@ than that would never be drawn although table 2 leaves it out."""
 @inline
 def bin_of(maps, local):
     """Bin of a unit direction in the frame of the normal, above the horizon."""
-    phi: Any = math.atan2(local[1], local[0])
-    phi = phi + TWO_PI if phi < ZERO else phi
-    column = min(maps.columns - 1, np.int64(phi * (np.float32(maps.columns) / TWO_PI)))
+    column = min(maps.columns - 1, np.int64(turns(local[0], local[1]) * np.float32(maps.columns)))
     row = min(maps.rows - 1, np.int64(local[2] * np.float32(maps.rows)))
     return row * maps.columns + column
 
@@ -42,9 +40,9 @@ def direction_in_bin(maps, index, u, v):
     row = index // maps.columns
     column = index - row * maps.columns
     cosine = (np.float32(row) + u) / np.float32(maps.rows)
-    phi = (np.float32(column) + v) * (TWO_PI / np.float32(maps.columns))
+    c, s = turn((np.float32(column) + v) / np.float32(maps.columns))
     sine = math.sqrt(max(ZERO, ONE - cosine * cosine))
-    return sine * math.cos(phi), sine * math.sin(phi), cosine
+    return sine * c, sine * s, cosine
 
 
 @inline

@@ -30,7 +30,7 @@ from causticmpi.kernels.jit import inline
 from causticmpi.kernels.material_kinds import DIFFUSE
 from causticmpi.kernels.pixels import add_sample
 from causticmpi.kernels.traced_scene import hit_point, is_specular
-from causticmpi.kernels.vec import INFINITY, INV_PI, ONE, WHITE, ZERO
+from causticmpi.kernels.vec import INV_PI, ONE, WHITE, ZERO
 
 CHOICE, DIRECTION, FEW, CHAIN, SAMPLE = 0, 1, 2, 3, 4
 """Dimensions and subkeys of a vertex key; SAMPLE + j names the j-th ray of the vertex."""
@@ -65,8 +65,8 @@ class Hits(NamedTuple):
 
 
 class PassWork(NamedTuple):
-    """Workspace of a pass: packet (see weak_singularities), the vertices that wait and those worked on, their rays, what
-    a packet of these has hit, and the forecast's workspace.
+    """Workspace of a pass: packet (see weak_singularities), the vertices that wait and those worked on, the rays of
+    these, what a packet of rays has hit, and the forecast's workspace.
 
     lane (16, 5) float32: throughput of the first vertex, in use, and drawn (light tracing owns its caustics);
     lane_material, lane_key (16,); light (16, 6): L_d and L_c of the tile's pixels so far.

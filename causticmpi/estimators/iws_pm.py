@@ -17,7 +17,7 @@ from causticmpi.estimators import full_radiance as fr
 from causticmpi.estimators.vertices import get, put, take
 from causticmpi.kernels import vec
 from causticmpi.kernels.embree import LANES
-from causticmpi.kernels.jit import inline, kernel
+from causticmpi.kernels.jit import kernel
 from causticmpi.kernels.vec import ZERO
 
 
