@@ -151,7 +151,7 @@ def test_errors_of_the_mixture(
     assert judge(scene, truth, "mixture").p < CLEAR
 
 
-MIRRORS_COMPENSATED = ("if primitive < 0 or is_specular(scene.kind[scene.material[primitive]]):", "if primitive < 0:")
+MIRRORS_COMPENSATED = ("far, survive, key, ON_DIFFUSE)", "far, survive, key, ANYTHING)")
 """Of `full_radiance`: the compensation ray follows what it hits on S."""
 FROM_MUTANT_RADIANCE = (
     "from causticmpi.estimators import full_radiance as fr\n",

@@ -167,7 +167,7 @@ def test_group_without_usable_photons() -> None:
 
 
 def tile(maps: ForecastMaps, p: np.ndarray, n: np.ndarray, used: np.ndarray) -> PassWork:
-    work = pass_work(cm.mixture_work(maps))
+    work = pass_work(cm.mixture_work(maps), 1)
     for i in range(16):
         for c in range(3):
             work.packet[ws.POINT + 16 * c + i], work.packet[ws.NORMAL + 16 * c + i] = p[i, c], n[i, c]
