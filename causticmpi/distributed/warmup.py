@@ -60,13 +60,16 @@ KERNELS = [
 
 
 def tiny_scene() -> SceneData:
-    """One lit triangle: all array types of a real scene, nothing to trace."""
+    """Two lit triangles: all array types of a real scene, nothing to trace.
+
+    Two, for a column of a single row counts as contiguous, another type, and all would be compiled again.
+    """
     return SceneData(
         vertices=np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32),
-        triangles=np.array([[0, 1, 2]], np.int32),
+        triangles=np.array([[0, 1, 2], [0, 1, 2]], np.int32),
         spheres=np.zeros((0, 4), np.float32),
-        primitive_material=np.zeros(1, np.int32),
-        primitive_emission=np.zeros(1, np.int32),
+        primitive_material=np.zeros(2, np.int32),
+        primitive_emission=np.zeros(2, np.int32),
         material_kind=np.zeros(1, np.int32),
         material_reflectance=np.full((1, 3), 0.5, np.float32),
         material_specular=np.zeros((1, 3), np.float32),

@@ -151,16 +151,14 @@ def trace_iws_mixture(
                     fr.compensate(scene, work, i, get(work.now, i), compensation_reach)
                 else:
                     _send_first(scene, work, maps, i)
-            waiting, rays, missing = fr.trace(scene, work, 0, bound)
+        waiting, sent = 0, used
+        while sent > 0:
+            waiting, rays, missing = fr.trace(scene, work, waiting, bound)
             traced += rays
             lost += missing
-            while waiting > 0:
-                waiting, taken = take(work.waiting, work.now, waiting)
-                for i in range(taken):
-                    traced += fr.gather_few(scene, work, lights, count, few, get(work.now, i), bound)
-                    _send_deep(scene, work, maps, i)
-                waiting, rays, missing = fr.trace(scene, work, waiting, bound)
-                traced += rays
-                lost += missing
+            waiting, sent = take(work.waiting, work.now, waiting)
+            for i in range(sent):
+                traced += fr.gather_few(scene, work, lights, count, few, get(work.now, i), bound)
+                _send_deep(scene, work, maps, i)
         fr.deposit(work, pixels, first, film)
     return traced, lost

@@ -45,19 +45,17 @@ def trace_iws_pm(scene, camera, work, pixels, seed, pass_index, lights, count, p
                 fr.add_light(work, i, fr.CAUSTIC, caustic)
                 put(work.now, i, fr.first_vertex(work, i))
                 fr.compensate(scene, work, i, get(work.now, i), compensation_reach)
-            waiting, rays, missing = fr.trace(scene, work, 0, bound)
+        waiting, sent = 0, used
+        while sent > 0:
+            waiting, rays, missing = fr.trace(scene, work, waiting, bound)
             traced += rays
             lost += missing
-            while waiting > 0:
-                waiting, taken = take(work.waiting, work.now, waiting)
-                for i in range(taken):
-                    at = get(work.now, i)
-                    traced += fr.gather_few(scene, work, lights, count, few, at, bound)
-                    caustic, _ = de.estimate(scene, photons, work.forecast, at.p, at.n, at.wo, at.material, most)
-                    fr.add_light(work, at.lane, at.layer, vec.mul(at.throughput, caustic))
-                    fr.compensate(scene, work, i, at, compensation_reach)
-                waiting, rays, missing = fr.trace(scene, work, waiting, bound)
-                traced += rays
-                lost += missing
+            waiting, sent = take(work.waiting, work.now, waiting)
+            for i in range(sent):
+                at = get(work.now, i)
+                traced += fr.gather_few(scene, work, lights, count, few, at, bound)
+                caustic, _ = de.estimate(scene, photons, work.forecast, at.p, at.n, at.wo, at.material, most)
+                fr.add_light(work, at.lane, at.layer, vec.mul(at.throughput, caustic))
+                fr.compensate(scene, work, i, at, compensation_reach)
         fr.deposit(work, pixels, first, film)
     return traced, lost
