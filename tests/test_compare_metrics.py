@@ -7,7 +7,16 @@ import pytest
 
 from causticmpi.compare.metrics import caustic_mask, flip_missing, mean_flip, measure, signed_error, trimmed
 from causticmpi.compare.reference import ReferencePicture
-from causticmpi.compare.statistics import agreement, block_means, floor, interval, jackknife, mean_curve, slope
+from causticmpi.compare.statistics import (
+    agreement,
+    block_means,
+    floor,
+    interval,
+    jackknife,
+    mean_curve,
+    rare_hits,
+    slope,
+)
 
 
 def reference(rgb: np.ndarray, variance: float = 0.0, caustic: np.ndarray | None = None) -> ReferencePicture:
@@ -132,6 +141,15 @@ def test_agreement_finds_a_small_difference_and_none_where_there_is_none() -> No
     assert found.p < 1e-6 and found.tests == 200
     same = np.ones((4, 3))
     assert agreement(same, same).p == 1.0 and agreement(same, same + 1).p < 1e-12
+    assert agreement(same, same + 1).p_above == 1.0 and agreement(same + 1, same).p_above < 1e-12
+
+
+def test_rare_hits_are_counted_where_there_are_few() -> None:
+    random = np.random.default_rng(2)
+    for count in (5, 50):
+        found = rare_hits(random.poisson(count / 16 / 16, size=(16, 16)) + 0.01 * random.normal(size=(16, 16)))
+        assert count / 2 < found < 2 * count
+    assert rare_hits(random.normal(size=(16, 16))) == np.inf and rare_hits(np.ones((4, 2))) == np.inf
 
 
 @pytest.mark.skipif(flip_missing() is not None, reason=str(flip_missing()))

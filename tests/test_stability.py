@@ -2,6 +2,7 @@
 
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -36,13 +37,16 @@ def page(**more: object) -> Page:
 def measured(label: str, method: str, mean: float = 1.0, noise: float = 0.1, seed: int = 1, **more: object) -> Measured:
     """A made-up measurement: 8 x 8 pixels, batches of normal deviation `noise` about `mean`."""
     random = np.random.default_rng(seed)
-    pictures = mean + noise * random.normal(size=(BATCHES, 8, 8, 3))
+    return measured_pictures(label, method, mean + noise * random.normal(size=(BATCHES, 8, 8, 3)), **more)
+
+
+def measured_pictures(label: str, method: str, pictures: np.ndarray, **more: object) -> Measured:
     blocks = pictures.reshape(BATCHES, 4, 2, 4, 2, 3).mean(axis=(2, 4)).reshape(BATCHES, -1)
     plain = {
         "label": label, "method": method, "biased": False, "passes": BATCHES, "seconds": 1.0, "preprocess": 0.0,
         "rays": 1000, "slowest": 1.0, "memory_mb": 100.0, "nonfinite": 0, "rgb": pictures.mean(axis=0),
         "variance": pictures.var(axis=0, ddof=1) / BATCHES, "blocks": blocks, "caustic": 0.1, "brightest": 1.0,
-        "radius": 0.1, "bound": 1.0,
+        "radius": 0.1, "bound": 1.0, "by_chance": method == "pt",
     }  # fmt: skip
     return Measured(**{**plain, **more})
 
@@ -52,6 +56,43 @@ def test_a_wrong_mean_is_found_and_a_right_one_is_not() -> None:
     right, wrong = (judge(page(), 1.0, 1.0, [measured("cf", "iws+cf", mean)], rivals, 0.1)[0] for mean in (1.0, 1.03))
     assert right.verdict == "" and right.p > 1e-3 and right.against == "rival"
     assert wrong.verdict == "WRONG" and wrong.difference == pytest.approx(0.03, abs=0.01)
+
+
+def lit_by_hits(count: float, mean: float = 1.0) -> Measured:
+    """Half of the light is even, the other half comes in `count` equal hits on the whole picture."""
+    random = np.random.default_rng(3)
+    each = random.poisson(count / BATCHES / 64, size=(BATCHES, 8, 8, 1)) / (count / BATCHES / 64)
+    even = 1 + 0.01 * random.normal(size=(BATCHES, 8, 8, 3))
+    return measured_pictures("cf", "iws+cf", mean * (0.5 * even + 0.5 * each))
+
+
+def test_too_dark_with_few_hits_is_blind_and_with_many_or_too_bright_is_wrong() -> None:
+    def verdict(found: Measured) -> str:
+        return judge(page(), 1.0, 1.0, [found], [measured("rival", "iws+cf", noise=1e-3, seed=9)], 0.1)[0].verdict
+
+    assert re.fullmatch(r"blind: too few hits to judge \(\d+\)", verdict(lit_by_hits(20)))
+    assert verdict(lit_by_hits(20, mean=1e3)) == "WRONG"
+    assert verdict(lit_by_hits(1e6)) == "" and verdict(lit_by_hits(1e6, mean=0.95)) == "WRONG"
+    assert verdict(measured("cf", "iws+cf", 0.95)) == "WRONG" == verdict(measured("pt", "pt", 0.95))
+    # A path tracer that would have met the lamp once shows no hit at all.
+    assert verdict(measured("pt", "pt", 0.95, brightest=300.0)) == "blind: too few hits to judge (1.1)"
+    assert verdict(measured("pt", "pt", 1.05, brightest=300.0)) == "WRONG"
+    assert verdict(measured("cf", "iws+cf", 0.95, brightest=300.0)) == "WRONG"
+    assert verdict(measured("cf", "iws+cf", 0.95, brightest=300.0, caustic=0.01)).startswith("blind")
+
+
+def test_no_one_is_too_bright_beside_a_blind_rival() -> None:
+    dark = replace(lit_by_hits(5, mean=0.5), label="rival")
+    (row,) = judge(page(), 1.0, 1.0, [measured("cf", "iws+cf", 100.0)], [dark], 0.1)
+    assert row.verdict.startswith("not tested: rival has too few hits") and not row.tested
+    (row,) = judge(page(), 1.0, 1.0, [measured("cf", "iws+cf", 100.0)], [dark, measured("seer", "iws+cf", seed=9)], 0.1)
+    assert row.verdict == "WRONG" and row.against == "seer"
+
+
+def test_blind_cells_are_named_and_not_counted_as_tested() -> None:
+    rows = [row(1.0, "pt", 1.0), row(1.0, "cf", 1.0), row(0.1, "pt", 1.0, verdict="blind: too few hits to judge (3)")]
+    said = verdicts.unbiasedness(rows)
+    assert "in 2 of 2 tested cells" in said and "too few hits to judge pt at 0.1." in said and "WRONG" not in said
 
 
 def test_too_few_batches_for_a_t_test_are_refused() -> None:

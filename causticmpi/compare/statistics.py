@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 CONFIDENCE = 0.95
+SKEWED = 4.0
+"""Standard errors of a normal sample's third moment from which batches count as skewed."""
 DECADE = 10.0
 FEWEST_POINTS = 4
 
@@ -97,12 +99,13 @@ def jackknife(curves: Sequence[np.ndarray], fit: Callable[[np.ndarray], float]) 
 @dataclass(frozen=True)
 class Agreement:
     """Welch's t-tests of `tests` means at once. p: Sidak-corrected least; z: largest deviation in standard errors;
-    difference: of the overall means, relative."""
+    difference: of the overall means, relative; p_above: as p, of those means of the first alone that are too large."""
 
     p: float
     z: float
     tests: int
     difference: float
+    p_above: float = 1.0
 
 
 def agreement(a: np.ndarray, b: np.ndarray) -> Agreement:
@@ -118,7 +121,27 @@ def agreement(a: np.ndarray, b: np.ndarray) -> Agreement:
     z = np.where(variance > 0, np.abs(difference) / np.sqrt(np.where(variance > 0, variance, 1.0)), exact)
     p = 2 * stats.t.sf(z, np.maximum(freedom, 1.0))
     relative = float(difference.mean() / max(abs(b.mean()), 1e-300))
-    return Agreement(sidak(float(p.min()), p.size), float(z.max()), int(p.size), relative)
+    above = float(np.where(difference > 0, p, 1.0).min())
+    return Agreement(sidak(float(p.min()), p.size), float(z.max()), int(p.size), relative, sidak(above, p.size))
+
+
+def rare_hits(values: np.ndarray) -> float:
+    """How many rare bright hits make the spread of (m, k) independent values; inf where it shows no skew.
+
+    The sum of h for each of a Poisson number n of hits has the variance n h^2 and the third moment n h^3, so that over
+    all columns together n = m (sum of variances)^3 / (sum of third moments)^2; hits of unlike strengths count as the
+    few that carry the variance. With few hits t-tests are void: columns that got none are dark and seem sure of it.
+    Raises ValueError for m < 3.
+    """
+    m = len(values)
+    if m < 3:
+        raise ValueError("a third moment needs three values")
+    deviation = values - values.mean(axis=0)
+    second = (deviation**2).sum(axis=0) / (m - 1)
+    third = float((deviation**3).sum()) * m / ((m - 1) * (m - 2))
+    if third <= SKEWED * np.sqrt(6 / m * float((second**3).sum())):
+        return float("inf")
+    return float(m * second.sum() ** 3 / third**2)
 
 
 def block_means(picture: np.ndarray, side: int) -> np.ndarray:

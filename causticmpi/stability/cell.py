@@ -28,6 +28,8 @@ from causticmpi.scene.load import load_scene
 from causticmpi.scene.tracing import camera_array
 from causticmpi.stability.lies import LIES
 
+BY_CHANCE = ("pt", "pt-brute")
+"""Methods that meet a light behind specular surfaces by chance alone."""
 BLOCKS = 4
 """Squares along a side of the film whose means are compared: few, so that rare bright paths even out in each."""
 
@@ -38,8 +40,8 @@ class Measured:
 
     blocks (batches, k): means of squares of the film; caustic: mean luminance of L_c; seconds: CPU time of tracing,
     `preprocess` apart; slowest: the longest pass over the mean one; brightest: largest radiance of a light;
-    radius: the search radius used (nan: none); bound: what `auto` means for b;
-    warnings: that a run would give beforehand.
+    radius: the search radius used (nan: none); bound: what `auto` means for b; by_chance: whether it meets lights behind
+    specular surfaces by chance alone; warnings: that a run would give beforehand.
     """
 
     label: str
@@ -59,6 +61,7 @@ class Measured:
     brightest: float
     radius: float
     bound: float
+    by_chance: bool = False
     warnings: tuple[str, ...] = ()
 
     @property
@@ -152,6 +155,10 @@ def _lights_moved(data: SceneData) -> SceneData:
     return dataclasses.replace(data, vertices=vertices)
 
 
+def _without_photons(config: RenderConfig) -> bool:
+    return config.method in FORECASTING and config.forecast.photons == 0
+
+
 def passes_within(bench: Bench, seconds: float) -> float:
     """How many passes take about `seconds` of CPU time.
 
@@ -209,5 +216,6 @@ def measure(bench: Bench, label: str, passes: int, batches: int) -> Measured:
         brightest=bench.scene.brightest,
         radius=float(getattr(bench.maps, "radius", float("nan"))),
         bound=automatic_bound(bench.scene.extent),
+        by_chance=bench.config.method in BY_CHANCE or _without_photons(bench.config),
         warnings=of_scene(bench.config, bench.scene.data),
     )

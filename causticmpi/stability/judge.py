@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from causticmpi.compare.statistics import agreement
+from causticmpi.compare.statistics import agreement, rare_hits
 from causticmpi.output.picture import RELMSE_FLOOR
 from causticmpi.render.foresight import TOO_FAR
 from causticmpi.stability.cell import Measured
@@ -16,11 +16,9 @@ from causticmpi.stability.records import Page, Value
 ALPHA = 1e-4
 """Significance of a cell's test, all its means together: a report of some 500 cells has a false alarm in 1 of 20."""
 SIGHT = 100
-"""Hits on a light behind specular surfaces that a path tracer needs before its mean is worth a t-test."""
+"""Rare bright hits that a method needs before a mean that is too low is worth a t-test."""
 SHARE_OF_LIGHT = 0.3
 """Of the light's radiance in a pixel that one such hit brings: albedo and Fresnel losses."""
-BY_CHANCE = ("pt", "pt-brute")
-"""Methods that meet a light behind specular surfaces by chance alone."""
 SMOOTHING = 3
 """Pixels: side of the square over which signed errors are averaged."""
 LOSS = 1.05
@@ -70,8 +68,13 @@ class Row:
 
     @property
     def tested(self) -> bool:
-        """Whether its mean was held against the truth."""
-        return math.isfinite(self.p)
+        """Whether its mean was held against the truth, and the test is worth something."""
+        return math.isfinite(self.p) and not self.verdict.startswith(("blind", "not tested"))
+
+    @property
+    def blind(self) -> bool:
+        """Whether it met so little light that nothing can be said of its mean, unless that is too high."""
+        return self.verdict.startswith("blind")
 
 
 def refused(value: Value, x: float, label: str, why: str) -> Row:
@@ -91,13 +94,27 @@ def misses(measured: Measured, caustic: float) -> bool:
 
 def sees(measured: Measured, caustic: float) -> bool:
     """Whether its mean can be trusted to know the caustics whose mean radiance is `caustic`."""
-    return measured.method not in BY_CHANCE or caustic <= 0 or hits(measured, caustic) >= SIGHT
+    return not measured.by_chance or caustic <= 0 or hits(measured, caustic) >= SIGHT
+
+
+def counted_hits(measured: Measured, caustic: float) -> float:
+    """Rare hits behind its mean: those its batches show, or those to be expected where it meets the light by chance.
+
+    So does a forecast that misses most of the caustics: it has none where they come from.
+    """
+    shown = rare_hits(measured.blocks)
+    by_chance = measured.by_chance or misses(measured, caustic)
+    return min(shown, hits(measured, caustic)) if by_chance and caustic > 0 else shown
+
+
+def _blind(found: float) -> str:
+    return f"blind: too few hits to judge ({found:.2g})"
 
 
 def seen_caustic(measured: Sequence[Measured]) -> float:
     """Mean luminance of L_c as the unbiased methods that look for caustics see it, else as the others do."""
     unbiased = [m for m in measured if not m.biased]
-    return max((m.caustic for m in unbiased if m.method not in BY_CHANCE), default=0.0) or max(
+    return max((m.caustic for m in unbiased if not m.by_chance), default=0.0) or max(
         (m.caustic for m in unbiased), default=0.0
     )
 
@@ -109,9 +126,10 @@ def judge(
     unbiased = [m for m in (*found, *rivals) if not m.biased]
     sighted = [m for m in unbiased if sees(m, caustic) and not (page.constant_caustics and misses(m, caustic))]
     best = min(sighted or unbiased, key=lambda m: float((m.variance / (m.rgb**2 + RELMSE_FLOOR)).mean()))
+    rivals = sorted((r for r in rivals if r in sighted), key=lambda r: counted_hits(r, caustic) < SIGHT)
     rows = []
     for m in found:
-        rival = next((r for r in rivals if r in sighted and r.label != m.label), None)
+        rival = next((r for r in rivals if r.label != m.label), None)
         rows.append(_row(page, value, x, m, best.rgb, rival, caustic))
     base = next((row for row in rows if row.label == page.baseline), None)
     return [_with_loss(row, base) for row in rows]
@@ -128,42 +146,59 @@ def _row(
         signed = uniform_filter(((m.rgb - rival.rgb) * np.sqrt(weight)).mean(axis=-1), SMOOTHING, mode="nearest")
         bias = float((((m.rgb - rival.rgb) ** 2 - m.variance - rival.variance) * weight).mean())
     relmse = float(own.mean()) * m.seconds / left if left > m.pass_seconds else math.inf
-    p = z = whole = difference = resolution = math.nan
-    against, verdict = "", ""
     if page.truth.exact is not None:
-        against = f"{page.truth.exact:g}"
-        truth = np.full((2, m.blocks.shape[1]), page.truth.exact)
-        p, z, difference, whole, resolution = _against(m.blocks, truth)
+        test, against = _against(m.blocks, np.full((2, m.blocks.shape[1]), page.truth.exact)), f"{page.truth.exact:g}"
+        rival = None
     elif rival is not None:
-        against = rival.label
-        p, z, difference, whole, resolution = _against(m.blocks, rival.blocks)
-    if m.nonfinite:
-        verdict = f"{m.nonfinite} non-finite samples"
-    elif page.truth.exact == 0 and difference > 0:
-        verdict = f"leaks {difference:.1g}"
-    elif p < ALPHA and not m.biased:
-        verdict = "wrong, as is warned" if any(TOO_FAR in warning for warning in m.warnings) else "WRONG"
-    elif p < ALPHA:
-        verdict = "biased, as it says"
-    elif page.constant_caustics and misses(m, caustic):
-        verdict = f"misses {100 * (1 - m.caustic / caustic):.0f} % of the caustics"
-    elif not sees(m, caustic):
-        verdict = f"blind: {hits(m, caustic):.2g} hits expected"
-    elif not math.isfinite(p) and page.truth.rivals:
-        verdict = "not tested: no rival sees enough"
-    elif left <= 0:
-        verdict = f"preprocess exceeds {page.equal_time:g} s"
+        test, against = _against(m.blocks, rival.blocks), rival.label
+    else:
+        test, against = _Test(), ""
     return Row(
         value=value, x=x, label=m.label, biased=m.biased, relmse=relmse + max(0.0, bias if m.biased else 0.0),
-        share=float(own.max() / max(own.sum(), 1e-300)), bias=bias, p=p, z=z, whole=whole, difference=difference,
-        resolution=resolution, passes=m.passes, pass_seconds=m.pass_seconds, preprocess=m.preprocess,
-        rays=m.rays / m.samples, slowest=m.slowest, memory_mb=m.memory_mb, caustic=m.caustic, verdict=verdict,
-        against=against, rgb=m.rgb.astype(np.float32), signed=signed, warnings=m.warnings,
+        share=float(own.max() / max(own.sum(), 1e-300)), bias=bias, p=test.p, z=test.z, whole=test.whole,
+        difference=test.difference, resolution=test.resolution, passes=m.passes, pass_seconds=m.pass_seconds,
+        preprocess=m.preprocess, rays=m.rays / m.samples, slowest=m.slowest, memory_mb=m.memory_mb, caustic=m.caustic,
+        verdict=_failed(page, m, test, rival, caustic), against=against, rgb=m.rgb.astype(np.float32), signed=signed,
+        warnings=m.warnings,
     )  # fmt: skip
 
 
-def _against(found: np.ndarray, truth: np.ndarray) -> tuple[float, float, float, float, float]:
-    """p, largest z, relative difference of the means, its z, its resolution."""
+@dataclass(frozen=True)
+class _Test:
+    """Of a mean against the truth. p_above: of what is too bright alone; the rest as in `Row`; nan: not tested."""
+
+    p: float = math.nan
+    p_above: float = math.nan
+    z: float = math.nan
+    difference: float = math.nan
+    whole: float = math.nan
+    resolution: float = math.nan
+
+
+def _failed(page: Page, m: Measured, test: _Test, rival: Measured | None, caustic: float) -> str:
+    """What failed, empty if nothing did. rival: whom it was held against, None: a known radiance, or nobody."""
+    if m.nonfinite:
+        return f"{m.nonfinite} non-finite samples"
+    if page.truth.exact == 0 and test.difference > 0:
+        return f"leaks {test.difference:.1g}"
+    if test.p < ALPHA and m.biased:
+        return "biased, as it says"
+    if test.p < ALPHA <= test.p_above and (few := counted_hits(m, caustic)) < SIGHT:
+        return _blind(few)
+    if test.p_above < ALPHA and rival is not None and (few := counted_hits(rival, caustic)) < SIGHT:
+        return f"not tested: {rival.label} has too few hits ({few:.2g})"
+    if test.p < ALPHA:
+        return "wrong, as is warned" if any(TOO_FAR in warning for warning in m.warnings) else "WRONG"
+    if page.constant_caustics and misses(m, caustic):
+        return f"misses {100 * (1 - m.caustic / caustic):.0f} % of the caustics"
+    if not sees(m, caustic):
+        return _blind(hits(m, caustic))
+    if not math.isfinite(test.p) and page.truth.rivals:
+        return "not tested: no rival sees enough"
+    return f"preprocess exceeds {page.equal_time:g} s" if m.preprocess >= page.equal_time else ""
+
+
+def _against(found: np.ndarray, truth: np.ndarray) -> _Test:
     verdict = agreement(*(np.column_stack([blocks, blocks.mean(axis=1)]) for blocks in (found, truth)))
     a, b = found.mean(axis=1), truth.mean(axis=1)
     deviation = math.sqrt(a.var(ddof=1) / len(a) + b.var(ddof=1) / len(b))
@@ -173,7 +208,7 @@ def _against(found: np.ndarray, truth: np.ndarray) -> tuple[float, float, float,
         whole = difference / deviation
     else:
         whole = 0.0 if difference == 0 else math.inf
-    return verdict.p, verdict.z, difference / scale, whole, deviation / scale
+    return _Test(verdict.p, verdict.p_above, verdict.z, difference / scale, whole, deviation / scale)
 
 
 def _with_loss(row: Row, base: Row | None) -> Row:

@@ -9,7 +9,7 @@ import numpy as np
 from causticmpi.compare.charts import PALETTE
 from causticmpi.compare.tables import NOTHING, Table, number
 from causticmpi.output.png import srgb_bytes
-from causticmpi.stability.judge import Row
+from causticmpi.stability.judge import SIGHT, Row
 from causticmpi.stability.records import Page
 from causticmpi.stability.verdicts import shown
 
@@ -38,8 +38,9 @@ def table(name: str, page: Page, rows: Sequence[Row]) -> Table:
         tuple(_cells(row) for row in rows),
         f"relMSE: what {page.equal_time:g} CPU seconds would leave, preprocess included, from the variance over "
         f"{page.batches} batches; biased methods add their squared bias. p: Welch's t-test of the mean and 48 means of "
-        "squares, Sidak-corrected; resolution: standard error of the difference of the pictures' means. Blind: a path "
-        "tracer that would have met the light too rarely for its error or its mean to be believed.",
+        "squares, Sidak-corrected; resolution: standard error of the difference of the pictures' means. WRONG: the test "
+        f"fails. Blind: some mean is too low (or the light is met by chance), none too high, and the picture is made of "
+        f"so few rare hits (their number; below {SIGHT}) that neither its mean nor its error can be believed.",
     )
 
 
@@ -122,14 +123,16 @@ def _curves(error: "Axes", deviation: "Axes", rows: Sequence[Row], place: dict[s
         for trusted in (True, False):
             some = [row for row in known if row.trusted == trusted]
             face = colour if trusted else "none"
-            name = label if trusted else f"{label}: light met too rarely to be judged"
+            name = label if trusted else f"{label}: too few hits to judge"
             error.plot(
                 [place[shown(row.value)] for row in some], [row.relmse for row in some], "o", color=colour,
                 markerfacecolor=face, label=name if some else None,
             )  # fmt: skip
     for row in rows:
         at = place[shown(row.value)]
-        if row.tested and math.isfinite(row.whole):
+        if row.blind and math.isfinite(row.whole):
+            deviation.plot(at, float(np.clip(row.whole, -FAR, FAR)), "o", color=colour, markerfacecolor="none")
+        elif row.tested and math.isfinite(row.whole):
             wrong = row.verdict.lower().startswith(("wrong", "leaks"))
             marker = "X" if wrong else "o"
             deviation.plot(at, float(np.clip(row.whole, -FAR, FAR)), marker, color=colour, markersize=9 if wrong else 5)

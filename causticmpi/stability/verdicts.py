@@ -41,7 +41,10 @@ def unbiasedness(rows: Sequence[Row]) -> str:
     warned = [row for row in tested if row.verdict == "wrong, as is warned"]
     if warned:
         said += "; wrong, as is warned, in " + ", ".join(f"{row.label} at {shown(row.value)}" for row in warned)
-    untested = len(claimed) - len(tested)
+    blind = [row for row in claimed if row.blind]
+    if blind:
+        said += "; too few hits to judge " + ", ".join(f"{row.label} at {shown(row.value)}" for row in blind)
+    untested = len(claimed) - len(tested) - len(blind)
     return said + (f"; {untested} not tested." if untested else ".")
 
 
