@@ -12,11 +12,11 @@ from rendering import REPOSITORY
 
 from causticmpi.errors import InputError
 from causticmpi.scene.load import load_scene
-from causticmpi.stability import sweep, verdicts
+from causticmpi.stability import seeds, sweep, verdicts
 from causticmpi.stability.cell import Measured
 from causticmpi.stability.judge import Row, hits, judge
 from causticmpi.stability.lies import LIES
-from causticmpi.stability.records import Page
+from causticmpi.stability.records import Claim, Page
 from causticmpi.stability.run import main, read_pages
 from causticmpi.stability.scenes import TEMPLATES, build, write_scene
 
@@ -145,19 +145,46 @@ def row(value: float, label: str, relmse: float, **more: object) -> Row:
                   "resolution": 0.01, "difference": 0.001, **more})  # fmt: skip
 
 
+def _said(made: Page, rows: list[Row]) -> str:
+    return f"{verdicts.verdict(made, rows)} {verdicts.unbiasedness(rows)}"
+
+
 def test_verdicts_follow_the_figures() -> None:
     rows = [row(1.0, "pt", 1e-3), row(1.0, "cf", 1e-2), row(0.1, "pt", 1.0), row(0.1, "cf", 0.05)]
-    said = verdicts.verdict(page(), rows)
+    said = _said(page(), rows)
     assert "cf is x 20 as efficient as pt at light 0.1 and x 0.1 at light 1" in said
     assert "Unbiased within noise in 4 of 4 tested cells" in said
     rows[3] = row(0.1, "cf", 0.05, verdict="WRONG")
-    assert "in 3 of 4 tested cells" in verdicts.verdict(page(), rows) and "WRONG in cf at 0.1" in verdicts.verdict(
-        page(), rows
-    )
+    assert "in 3 of 4 tested cells" in _said(page(), rows) and "WRONG in cf at 0.1" in _said(page(), rows)
     assert verdicts.failures(rows) == ["cf at 0.1: WRONG"]
     made = page(reads="setting", sweep={"parameter": "iws.paths", "name": "paths", "values": [1.0, 8.0], "start": 8.0})
-    said = verdicts.verdict(made, [row(1.0, "cf", 0.2), row(8.0, "cf", 0.5)])
+    said = _said(made, [row(1.0, "cf", 0.2), row(8.0, "cf", 0.5)])
     assert "least error at paths 1 (relMSE 0.2), the default 8 has x 2.5 of it" in said
+
+
+def test_the_claim_over_seeds_holds_fails_or_is_open() -> None:
+    claim = Claim(of="cf", fixed=["pt", "two"])
+
+    def turns(gains: list[float], verdict: str = "") -> list[list[Row]]:
+        return [
+            [row(0.1, "pt", g * e), row(0.1, "cf", e, fireflies=1.2, verdict=verdict), row(0.1, "two", 0.99 * g * e)]
+            for g, e in zip(gains, (1.0, 2.0, 0.5, 1.0), strict=True)
+        ]
+
+    made = page(sweep={"parameter": "scene.light", "name": "light", "values": [0.1]})
+    (good,) = seeds.cells(made, claim, turns([1.0, 1.02, 0.99, 1.01]))
+    assert good.plain.verdict == "holds" == good.best.verdict and good.best.over == "two" and good.plain.below == 0
+    assert good.plain.low < good.plain.mean < good.plain.high and good.plain.least == pytest.approx(0.99)
+    (bad,) = seeds.cells(made, claim, turns([0.8, 0.82, 0.79, 0.81]))
+    assert bad.plain.verdict == "FAILS" == bad.best.verdict and bad.plain.below == 4
+    (unsure,) = seeds.cells(made, claim, turns([0.5, 1.5, 1.0, 1.2]))
+    assert unsure.plain.verdict == "open" and unsure.plain.below == 1
+    (blind,) = seeds.cells(made, claim, turns([1.0, 1.0, 1.0, 1.0], "blind: too few hits to judge (3)"))
+    assert blind.plain.verdict == "blind"
+    said = seeds.said(made, claim, turns([0.8, 0.82, 0.79, 0.81]))
+    assert "at least 0.95 as efficient as pt in 0 of 1 cells, FAILS at 0.1 (x 0.805, 4 of 4 seeds below)" in said
+    mean = seeds.pooled(turns([1.0, 1.0, 1.0, 1.0]))[1]
+    assert mean.relmse == pytest.approx(4.5 / 4)
 
 
 @pytest.mark.parametrize("template", TEMPLATES)
@@ -181,6 +208,7 @@ def test_pages_that_come_along_are_sound() -> None:
         ({"sweep": {"parameter": "iws.bond", "name": "b", "values": [1]}}, "iws.bond = 1"),
         ({"sweep": {"parameter": "photons", "name": "p", "values": ["fibs"]}}, "allowed: none, wrong light"),
         ({"baseline": "ptt"}, "allowed: pt, cf"),
+        ({"claim": {"of": "cff", "fixed": ["pt"]}}, 'claim: found "cff"; allowed: pt, cf'),
     ],
 )
 def test_pages_that_could_not_run_are_refused(change: dict, words: str) -> None:
@@ -220,6 +248,7 @@ contenders:
 SWEEP = """
 sweep: {parameter: scene.light, name: light, values: [0.5, 0]}
 baseline: pt
+claim: {of: mixture, fixed: [pt]}
 truth: {rivals: [{label: rival, set: {method: pt}}]}
 """
 
@@ -231,7 +260,7 @@ def test_a_small_report(tmp_path: Path) -> None:
         files.append(tmp_path / f"{kind}.yaml")
         files[-1].write_text(SMALL.format(title=kind, kind=kind) + (SWEEP if kind == "sweep" else ""))
     out = tmp_path / "out"
-    assert main([*map(str, files), "--out", str(out), "-j", "1"]) == 0
+    assert main([*map(str, files), "--out", str(out), "-j", "1", "--seeds", "2"]) == 0
     html = (out / "report.html").read_text()
     assert html.count("data:image/png") == 4 and not re.search(r'(?:src|href)="(?!data:|#)', html)
     assert "a light needs an area" in html  # the point light is refused, and the cell named
@@ -243,3 +272,5 @@ def test_a_small_report(tmp_path: Path) -> None:
         and "after 1,000 samples" in html
     )
     load_scene(out / "sweep" / "scenes" / "0.yaml")
+    assert "Over 2 seeds mixture is at least 0.95 as efficient as pt" in html
+    assert (out / "tables" / "sweep-seeds.csv").read_text().splitlines()[1].startswith("0.5,")

@@ -40,8 +40,8 @@ class Measured:
 
     blocks (batches, k): means of squares of the film; caustic: mean luminance of L_c; seconds: CPU time of tracing,
     `preprocess` apart; slowest: the longest pass over the mean one; brightest: largest radiance of a light;
-    radius: the search radius used (nan: none); bound: what `auto` means for b; by_chance: whether it meets lights behind
-    specular surfaces by chance alone; warnings: that a run would give beforehand.
+    radius: the search radius used (nan: none); bound: what `auto` means for b; by_chance: whether it meets lights
+    behind specular surfaces by chance alone; warnings: that a run would give beforehand.
     """
 
     label: str

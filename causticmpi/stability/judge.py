@@ -21,6 +21,8 @@ SHARE_OF_LIGHT = 0.3
 """Of the light's radiance in a pixel that one such hit brings: albedo and Fresnel losses."""
 SMOOTHING = 3
 """Pixels: side of the square over which signed errors are averaged."""
+TRIMMED = 1e-3
+"""Share of the pixels, the worst, that a trimmed error leaves out."""
 LOSS = 1.05
 """A contender whose error is this many times the baseline's has lost to it."""
 
@@ -30,10 +32,11 @@ class Row:
     """One contender in one cell. value: of the parameter; x: its place in the chart, nan for one without a number.
 
     relmse: at the page's equal time, the bias of biased methods included; share: of the squared error that the worst
-    pixel holds; bias: squared, relative, nan for unbiased ones; p, z: of the test against the truth (nan: not tested);
-    whole: z of the picture's mean; difference: relative, of the means; resolution: standard error of that difference;
-    rays: per sample; caustic: mean luminance of L_c; signed (H, W): smoothed relative error of biased ones; warnings:
-    given beforehand; verdict: what failed, empty if nothing did.
+    pixel holds; fireflies: the error over that without the worst pixels; bias: squared, relative, nan for unbiased
+    ones; p, z: of the test against the truth (nan: not tested); whole: z of the picture's mean; difference: relative,
+    of the means; resolution: standard error of that difference; rays: per sample; caustic: mean luminance of L_c;
+    signed (H, W): smoothed relative error of biased ones; warnings: given beforehand; verdict: what failed, empty if
+    nothing did.
     """
 
     value: Value
@@ -42,6 +45,7 @@ class Row:
     biased: bool
     relmse: float = math.nan
     share: float = math.nan
+    fireflies: float = math.nan
     bias: float = math.nan
     p: float = math.nan
     z: float = math.nan
@@ -155,12 +159,18 @@ def _row(
         test, against = _Test(), ""
     return Row(
         value=value, x=x, label=m.label, biased=m.biased, relmse=relmse + max(0.0, bias if m.biased else 0.0),
-        share=float(own.max() / max(own.sum(), 1e-300)), bias=bias, p=test.p, z=test.z, whole=test.whole,
-        difference=test.difference, resolution=test.resolution, passes=m.passes, pass_seconds=m.pass_seconds,
+        share=float(own.max() / max(own.sum(), 1e-300)), fireflies=_fireflies(own), bias=bias,
+        p=test.p, z=test.z, whole=test.whole, difference=test.difference,
+        resolution=test.resolution, passes=m.passes, pass_seconds=m.pass_seconds,
         preprocess=m.preprocess, rays=m.rays / m.samples, slowest=m.slowest, memory_mb=m.memory_mb, caustic=m.caustic,
         verdict=_failed(page, m, test, rival, caustic), against=against, rgb=m.rgb.astype(np.float32), signed=signed,
         warnings=m.warnings,
     )  # fmt: skip
+
+
+def _fireflies(errors: np.ndarray) -> float:
+    kept = np.sort(errors, axis=None)[: -max(1, round(TRIMMED * errors.size))]
+    return float(errors.mean() / max(kept.mean(), 1e-300)) if len(kept) else math.nan
 
 
 @dataclass(frozen=True)

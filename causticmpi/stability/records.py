@@ -42,6 +42,15 @@ class Contender(Record):
     set: Settings
 
 
+class Claim(Record):
+    """What several seeds are asked (`causticmpi.stability.seeds`): how often is `of` below 0.95 of the baseline, or
+    below 0.9 of the best of `fixed`? of, fixed: labels of contenders.
+    """
+
+    of: str
+    fixed: Annotated[list[str], Meta(min_length=1)]
+
+
 class Truth(Record):
     """What every cell is held against: contenders in order of preference, or a known radiance.
 
@@ -62,8 +71,8 @@ class Page(Record):
     side: pixels of the square film; seconds: CPU time of each contender in each cell; batches: independent parts of it;
     batch_passes: passes of each batch, in place of seconds: then means and their tests are the same on any machine;
     equal_time: CPU seconds at which errors are compared, preprocess included; baseline: label of the contender whom
-    others should beat; constant_caustics: L_c has the same mean all along the sweep, so that less means missed;
-    runs, passes: of `coverage` and `until`; samples: of `long`.
+    others should beat; claim: table of efficiencies over seeds; constant_caustics: L_c has the same
+    mean all along the sweep, so that less means missed; runs, passes: of `coverage` and `until`; samples: of `long`.
     """
 
     title: str
@@ -82,6 +91,7 @@ class Page(Record):
     batch_passes: PositiveInt | None = None
     equal_time: Positive = 60.0
     baseline: str | None = None
+    claim: Claim | None = None
     constant_caustics: bool = False
     runs: PositiveInt = 40
     passes: PositiveInt = 64

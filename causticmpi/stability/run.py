@@ -18,7 +18,7 @@ from causticmpi.config.yaml_source import read_yaml
 from causticmpi.errors import InputError
 from causticmpi.output.directory import write_whole
 from causticmpi.output.progress import clock
-from causticmpi.stability import runs, show, show_runs, sweep, verdicts
+from causticmpi.stability import runs, seeds, show, show_runs, sweep, verdicts
 from causticmpi.stability.records import Page
 
 REPORT, TABLES = "report.html", "tables.md"
@@ -48,10 +48,10 @@ def read_pages(files: Sequence[Path]) -> list[Loaded]:
     return pages
 
 
-def make_report(files: Sequence[Path], out: Path, scale: float, processes: int, command: str) -> int:
+def make_report(files: Sequence[Path], out: Path, scale: float, processes: int, command: str, turns: int = 1) -> int:
     """Measure all pages and write the report into `out`; the number of cells that are wrong.
 
-    scale: of all CPU times, numbers of runs and samples.
+    scale: of all CPU times, numbers of runs and samples; turns: seeds of each sweep.
     """
     charts.require_matplotlib()
     pages = read_pages(files)
@@ -60,10 +60,10 @@ def make_report(files: Sequence[Path], out: Path, scale: float, processes: int, 
     # Spawned, not forked: each process has its own Embree device; compiled kernels come from the disk.
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(processes, mp_context=context) as pool:
-        waiting = [(loaded, _submit(pool.submit, loaded, out / loaded.name, scale)) for loaded in pages]
+        waiting = [(loaded, _submit(pool.submit, loaded, out / loaded.name, scale, turns)) for loaded in pages]
         sections, wrong = [], 0
         for loaded, tasks in waiting:
-            section, failed = _section(loaded, {name: task.result() for name, task in tasks.items()})
+            section, failed = _section(loaded, {name: task.result() for name, task in tasks.items()}, turns)
             print(f"{clock(time.monotonic() - began)} {loaded.name}: {section.paragraphs[1]}", flush=True)
             sections.append(section)
             wrong += failed
@@ -73,38 +73,49 @@ def make_report(files: Sequence[Path], out: Path, scale: float, processes: int, 
     return wrong
 
 
-def _submit(submit: Callable[..., Future[Any]], loaded: Loaded, out: Path, scale: float) -> dict[str, Future[Any]]:
-    """Start a page's tasks; their results are what `_section` takes."""
+def _submit(
+    submit: Callable[..., Future[Any]], loaded: Loaded, out: Path, scale: float, turns: int
+) -> dict[str, Future[Any]]:
+    """Start a page's tasks; their results are what `_section` takes, a sweep's all by one seed, then by the next."""
     made = loaded.page
     if made.sweep is None:
         file = sweep.scene_file(made, loaded.place, out, 0)
         return {c.label: submit(runs.RUNS[made.kind], made, c, file, scale) for c in made.contenders}
     tasks = {
-        f"{i}": submit(sweep.measure_point, made, loaded.place, out, i, scale) for i in range(len(made.sweep.values))
+        f"{turn}/{i}": submit(sweep.measure_point, made, loaded.place, out / f"{turn}" if turn else out, i, scale, turn)
+        for turn in range(turns)
+        for i in range(len(made.sweep.values))
     }
     if sweep.rivals_are_common(made) and made.truth.rivals:
         tasks["rivals"] = submit(sweep.measure_rivals, made, loaded.place, out, scale)
     return tasks
 
 
-def _section(loaded: Loaded, results: dict[str, Any]) -> tuple[Section, int]:
+def _section(loaded: Loaded, results: dict[str, Any], turns: int) -> tuple[Section, int]:
     """The section of a page, and how many of its cells are wrong."""
     made, name = loaded.page, loaded.name
     if made.sweep is None:
-        found = list(results.values())
-        image = Image(name, charts.as_png(show_runs.chart(found)), made.title)
-        content: list[Table | Image] = [image, show_runs.table(name, made, found)]
-        return Section(made.title, [made.question, runs.verdict(found)], content), 0
+        of_runs = list(results.values())
+        content: list[Table | Image] = [Image(name, charts.as_png(show_runs.chart(of_runs)), made.title)]
+        content.append(show_runs.table(name, made, of_runs))
+        return Section(made.title, [made.question, runs.verdict(of_runs)], content), 0
     rivals = results.pop("rivals", [])
-    rows = sweep.all_rows(made, list(results.values()), rivals)
-    failing = verdicts.failures(rows)
-    wrong = [row for row in rows if row.verdict == "WRONG"]
-    paragraphs = [made.question, verdicts.verdict(made, rows)]
+    by_seed = sweep.rows_by_seed(made, list(results.values()), rivals, turns)
+    every = [row for rows in by_seed for row in rows]
+    rows = seeds.pooled(by_seed)
+    failing = verdicts.failures(every)
+    wrong = [row for row in every if row.verdict == "WRONG"]
+    found = f"{verdicts.verdict(made, rows)} {verdicts.unbiasedness(every)}".strip()
+    if made.claim is not None and turns > 1:
+        found = f"{seeds.said(made, made.claim, by_seed)} {found}"
+    paragraphs = [made.question, found]
     paragraphs += ["Cells that fail: " + "; ".join(failing) + "."] if failing else []
     caption = f"{made.title}. Below: pictures of {made.contenders[-1].label} by {made.sweep.name}."
-    image = Image(name, charts.as_png(show.chart(made, rows)), caption)
+    content = [Image(name, charts.as_png(show.chart(made, rows)), caption), show.table(name, made, rows)]
+    if made.claim is not None:
+        content.append(seeds.table(name, made, made.claim, by_seed))
     alarm = f"{len(wrong)} cells are wrong." if wrong else ""
-    return Section(made.title, paragraphs, [image, show.table(name, made, rows)], alarm), len(wrong)
+    return Section(made.title, paragraphs, content, alarm), len(wrong)
 
 
 def _write(out: Path, sections: Sequence[Section], scale: float, processes: int, seconds: float, command: str) -> None:
@@ -115,8 +126,9 @@ def _write(out: Path, sections: Sequence[Section], scale: float, processes: int,
     introduction = [
         f"causticmpi {__version__}, {processes} processes, {clock(seconds)}, CPU times times {scale:g}. "
         f"Made anew by: {command}",
-        "Each contender has the same CPU time in each cell, in independent batches; seeds are 1, 2, … for contenders "
-        "and 1001, 1002, … for the rivals they are tested against. Verdicts are formed from the figures below them.",
+        "Each contender has the same CPU time in each cell, in independent batches; seeds are 1, 2, … for contenders, "
+        f"{sweep.NEXT_SEED} more for each further seed of a page, and 1001, 1002, … for the rivals they are tested "
+        "against. Verdicts are formed from the figures below them.",
     ]
     markdown = [f"# {title}", ""]
     for section in sections:
@@ -138,7 +150,7 @@ def _save(path: Path, data: bytes) -> None:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """`python -m causticmpi.stability PAGE… [--out DIR] [--scale S] [-j N]`; 1 if a cell is wrong, 2 for bad input."""
+    """`python -m causticmpi.stability PAGE… [options]`; 1 if a cell is wrong, 2 for bad input."""
     import argparse
     import shlex
 
@@ -146,11 +158,14 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("pages", nargs="+", type=Path, metavar="PAGE", help="page (YAML), see configs/stability")
     parser.add_argument("--out", type=Path, default=Path("out/stability"), help="output directory")
     parser.add_argument("--scale", type=float, default=1.0, help="factor of all CPU times, runs and samples")
+    parser.add_argument("--seeds", type=int, default=1, metavar="N", help="measure each sweep N times")
     parser.add_argument("-j", dest="processes", type=int, default=2, help="processes")
     given = parser.parse_args(arguments)
+    if given.seeds < 1:
+        parser.error(f"--seeds: found {given.seeds}; allowed: 1 or more")
     command = shlex.join(["scripts/stability", *arguments])
     try:
-        return 1 if make_report(given.pages, given.out, given.scale, given.processes, command) else 0
+        return 1 if make_report(given.pages, given.out, given.scale, given.processes, command, given.seeds) else 0
     except InputError as error:
         print(f"stability: {error}", file=sys.stderr)
         return 2

@@ -38,9 +38,9 @@ def table(name: str, page: Page, rows: Sequence[Row]) -> Table:
         tuple(_cells(row) for row in rows),
         f"relMSE: what {page.equal_time:g} CPU seconds would leave, preprocess included, from the variance over "
         f"{page.batches} batches; biased methods add their squared bias. p: Welch's t-test of the mean and 48 means of "
-        "squares, Sidak-corrected; resolution: standard error of the difference of the pictures' means. WRONG: the test "
-        f"fails. Blind: some mean is too low (or the light is met by chance), none too high, and the picture is made of "
-        f"so few rare hits (their number; below {SIGHT}) that neither its mean nor its error can be believed.",
+        "squares, Sidak-corrected; resolution: standard error of the difference of the pictures' means. WRONG: the "
+        "test fails. Blind: some mean is too low (or the light is met by chance), none too high, and the picture is "
+        f"made of so few rare hits (their number; below {SIGHT}) that neither its mean nor its error can be believed.",
     )
 
 

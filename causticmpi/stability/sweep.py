@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from causticmpi.stability.scenes import build, write_scene
 
 RIVAL_SECONDS, COMMON_RIVAL_SECONDS = 2.0, 8.0
 """A rival gets this many times the CPU time of a contender, more where it serves all cells of a page."""
-SEED, RIVAL_SEED = 1, 1001
+SEED, RIVAL_SEED, NEXT_SEED = 1, 1001, 2000
 
 
 @dataclass(frozen=True)
@@ -42,8 +42,9 @@ def _is_of_scene(sweep: Sweep) -> bool:
     return sweep.parameter == "scene" or sweep.parameter.startswith("scene.")
 
 
-def measure_point(page: Page, place: Path, out: Path, index: int, scale: float) -> Point:
-    """One value of the sweep, rivals included where the scene changes. scale: of all CPU times.
+def measure_point(page: Page, place: Path, out: Path, index: int, scale: float, turn: int = 0) -> Point:
+    """One value of the sweep, rivals included where the scene changes. scale: of all CPU times; turn: which of several
+    seeds, the first of which has the rivals of all.
 
     place: directory of the page; out: for scenes. A refused scene, or a method that gives up, is told in the point.
     """
@@ -59,10 +60,11 @@ def measure_point(page: Page, place: Path, out: Path, index: int, scale: float) 
     for i, contender in enumerate(page.contenders):
         settings = {**page.set, **_config_value(page.sweep, value), **contender.set}
         try:
-            found.append(_one(page, contender.label, file, settings, SEED + i, scale, lie))
+            found.append(_one(page, contender.label, file, settings, SEED + i + NEXT_SEED * turn, scale, lie))
         except (InputError, ValueError, RuntimeError) as error:
             failed[contender.label] = str(error)
-    return Point(index, found, [] if rivals_are_common(page) else _rivals(page, file, RIVAL_SECONDS, scale), failed)
+    needs_rivals = turn == 0 and not rivals_are_common(page)
+    return Point(index, found, _rivals(page, file, RIVAL_SECONDS, scale) if needs_rivals else [], failed)
 
 
 def measure_rivals(page: Page, place: Path, out: Path, scale: float) -> list[Measured]:
@@ -89,6 +91,16 @@ def _one(
         return measure(bench, label, max(1, round(passes)), page.batches)
     finally:
         bench.close()
+
+
+def rows_by_seed(page: Page, points: Sequence[Point], rivals: Sequence[Measured], turns: int) -> list[list[Row]]:
+    """The judged rows of all values by each seed, whose points follow one another; all use the first seed's rivals."""
+    count = len(points) // turns
+    made = []
+    for turn in range(turns):
+        own = [replace(point, rivals=points[i].rivals) for i, point in enumerate(points[turn * count :][:count])]
+        made.append(all_rows(page, own, rivals))
+    return made
 
 
 def all_rows(page: Page, points: Sequence[Point], rivals: Sequence[Measured]) -> list[Row]:
@@ -156,6 +168,12 @@ def check_page(page: Page, place: Path) -> None:
     labels = [c.label for c in page.contenders]
     if page.baseline is not None and page.baseline not in labels:
         raise InputError(f'baseline: found "{page.baseline}"; allowed: {", ".join(labels)}')
+    if page.claim is not None:
+        if page.baseline is None:
+            raise InputError("claim: found a claim without a baseline; allowed: with `baseline`")
+        for label in (page.claim.of, *page.claim.fixed):
+            if label not in labels:
+                raise InputError(f'claim: found "{label}"; allowed: {", ".join(labels)}')
     for index, value in enumerate(page.sweep.values if page.sweep else [0.0]):
         if page.sweep and page.sweep.parameter == "photons" and value not in LIES:
             raise InputError(f'sweep.values: found "{value}"; allowed: {", ".join(LIES)}')

@@ -11,11 +11,11 @@ from causticmpi.stability.records import Page, Sweep, Value
 
 
 def verdict(page: Page, rows: Sequence[Row]) -> str:
-    """What the page found."""
+    """What the page found, but for `unbiasedness`."""
     readers: dict[str, Callable[[Page, Sequence[Row]], str]] = {
         "rivals": _rivals, "setting": _setting, "exact": _exact, "floor": _floor, "bounded": _bounded, "lies": _lies,
     }  # fmt: skip
-    return f"{readers[page.reads](page, rows)} {unbiasedness(rows)}".strip()
+    return readers[page.reads](page, rows)
 
 
 def failures(rows: Sequence[Row]) -> list[str]:
