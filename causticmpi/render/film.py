@@ -7,12 +7,14 @@ and are kept in two parts, high and low.
 """
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
 from causticmpi.kernels.jit import inline, kernel
+from causticmpi.render.locks import give_back, try_to_take
 
 CHANNELS, LIGHT_CHANNELS = 12, 9
 """Per pixel: sum of L_d (3), sum of L_c (3), sums of the high (3) and low (3) parts of the squares of their total; and,
@@ -27,58 +29,94 @@ HIGH, LOW = 2.0**60, 2.0**24
 @inline
 def _parts_of_square(x, high_step, low_step):
     square = x * x
-    high = np.floor(square / high_step) * high_step
-    return high, np.rint((square - high) / low_step) * low_step
+    high = np.floor(square * (1.0 / high_step)) * high_step  # steps are powers of two: exact
+    return high, np.rint((square - high) * (1.0 / low_step)) * low_step
+
+
+@inline
+def _add_row(row, sums, quantum):
+    """A pixel of a pass (6,) to its sums, and blank it. Returns 1 for a non-finite sample, counted as black."""
+    inverse = 1.0 / quantum
+    high_step, low_step = quantum * quantum * HIGH, quantum * quantum * LOW
+    finite = True
+    for c in range(6):
+        finite = finite and (abs(row[c]) < np.float32(3e38))
+    for c in range(3):
+        d = np.float64(row[c]) if finite else 0.0
+        k = np.float64(row[3 + c]) if finite else 0.0
+        sums[c] += np.rint(d * inverse) * quantum
+        sums[3 + c] += np.rint(k * inverse) * quantum
+        high, low = _parts_of_square(d + k, high_step, low_step)
+        sums[6 + c] += high
+        sums[9 + c] += low
+        row[c] = 0
+        row[3 + c] = 0
+    return 0 if finite else 1
+
+
+@inline
+def _add_light_row(row, sums, quantum):
+    """As `_add_row`, a pixel of a film of light paths (3,) to the sums' last LIGHT_CHANNELS."""
+    inverse = 1.0 / quantum
+    high_step, low_step = quantum * quantum * HIGH, quantum * quantum * LOW
+    finite = True
+    for c in range(3):
+        finite = finite and (abs(row[c]) < np.float32(3e38))
+    for c in range(3):
+        k = np.float64(row[c]) if finite else 0.0
+        row[c] = 0
+        if k == 0.0:
+            continue
+        high, low = _parts_of_square(k, high_step, low_step)
+        sums[CHANNELS + c] += np.rint(k * inverse) * quantum
+        sums[CHANNELS + 3 + c] += high
+        sums[CHANNELS + 6 + c] += low
+    return 0 if finite else 1
 
 
 @kernel
-def _accumulate(pass_film, sums, quantum):
-    """Add the pass film (n, 6) to the sums (n, CHANNELS) and blank it. Returns non-finite samples, counted as black."""
-    inverse = 1.0 / quantum
-    high_step, low_step = quantum * quantum * HIGH, quantum * quantum * LOW
+def _accumulate(pass_film, rows, sums, touched, locks, left, quantum):
+    """Add rows (first, end) of the pass film (n, 6) to the sums (n, CHANNELS or more) and blank them.
+
+    left : (blocks,) bool, which blocks are to be added; blocks that another process holds stay in it. Returns the
+    number of non-finite samples.
+    """
     bad = 0
-    for i in range(pass_film.shape[0]):
-        finite = True
-        for c in range(6):
-            x = pass_film[i, c]
-            finite = finite and (abs(x) < np.float32(3e38))
-        if not finite:
-            bad += 1
-        for c in range(3):
-            d = np.float64(pass_film[i, c]) if finite else 0.0
-            k = np.float64(pass_film[i, 3 + c]) if finite else 0.0
-            sums[i, c] += np.rint(d * inverse) * quantum
-            sums[i, 3 + c] += np.rint(k * inverse) * quantum
-            high, low = _parts_of_square(d + k, high_step, low_step)
-            sums[i, 6 + c] += high
-            sums[i, 9 + c] += low
-            pass_film[i, c] = 0
-            pass_film[i, 3 + c] = 0
+    for block in range(rows[0] // BLOCK, -(-rows[1] // BLOCK)):
+        if not left[block] or not try_to_take(locks, block):
+            continue
+        for i in range(max(rows[0], block * BLOCK), min(rows[1], (block + 1) * BLOCK)):
+            bad += _add_row(pass_film[i], sums[i], quantum)
+        touched[block] = True
+        give_back(locks, block)
+        left[block] = False
     return bad
 
 
 @kernel
-def _accumulate_light(light_film, sums, quantum):
-    """As `_accumulate`, a film of light paths (n, 3) into the sums' last LIGHT_CHANNELS."""
-    inverse = 1.0 / quantum
-    high_step, low_step = quantum * quantum * HIGH, quantum * quantum * LOW
+def _accumulate_light(light_film, rows, sums, touched, locks, left, quantum):
+    """As `_accumulate`, a film of light paths (n, 3)."""
     bad = 0
-    for i in range(light_film.shape[0]):
-        finite = True
-        for c in range(3):
-            finite = finite and (abs(light_film[i, c]) < np.float32(3e38))
-        if not finite:
-            bad += 1
-        for c in range(3):
-            k = np.float64(light_film[i, c]) if finite else 0.0
-            light_film[i, c] = 0
-            if k == 0.0:
-                continue
-            high, low = _parts_of_square(k, high_step, low_step)
-            sums[i, CHANNELS + c] += np.rint(k * inverse) * quantum
-            sums[i, CHANNELS + 3 + c] += high
-            sums[i, CHANNELS + 6 + c] += low
+    for block in range(rows[0] // BLOCK, -(-rows[1] // BLOCK)):
+        if not left[block] or not try_to_take(locks, block):
+            continue
+        for i in range(max(rows[0], block * BLOCK), min(rows[1], (block + 1) * BLOCK)):
+            bad += _add_light_row(light_film[i], sums[i], quantum)
+        touched[block] = True
+        give_back(locks, block)
+        left[block] = False
     return bad
+
+
+def film_arrays(slots: int, light: bool) -> dict[str, tuple[type, tuple[int, ...]]]:
+    """dtype and shape of what a Film keeps, zeros at first: to be handed to it where several processes share it."""
+    blocks = -(-slots // BLOCK)
+    channels = CHANNELS + (LIGHT_CHANNELS if light else 0)
+    return {"sums": (np.float64, (slots, channels)), "touched": (np.bool_, (blocks,)), "locks": (np.int32, (blocks,))}
+
+
+def _doze() -> None:
+    time.sleep(50e-6)
 
 
 @dataclass
@@ -86,8 +124,12 @@ class Film:
     """Sums of independent passes over the pixels of one window.
 
     light: whether there is room for light paths; sums (slots, channels) float64; passes, nonfinite, rays: counts.
-    `quantum` in units of radiance. touched: which blocks of BLOCK rows may be other than 0, so that a rank's small part
-    of a round is quickly merged and forgotten.
+    `quantum` in units of radiance. touched: which blocks of BLOCK rows may be other than 0, so that a small part of a
+    round is quickly merged and forgotten.
+
+    Several processes may hold the same sums, by `film_arrays` in memory that they share, each with counts of its own.
+    All may add passes at once; part (one, of so many): merging and forgetting is done by each for its part of the
+    blocks, between two meetings of all. idle: called while another process adds to the rows wanted.
     """
 
     slots: int
@@ -96,30 +138,43 @@ class Film:
     passes: int = 0
     nonfinite: int = 0
     rays: int = 0
-    sums: np.ndarray = field(init=False)
-    touched: np.ndarray = field(init=False)
+    shared: Mapping[str, np.ndarray] | None = None
+    part: tuple[int, int] = (0, 1)
+    idle: Callable[[], None] = _doze
 
     def __post_init__(self) -> None:
-        self.sums = np.zeros((self.slots, CHANNELS + (LIGHT_CHANNELS if self.light else 0)))
-        self.touched = np.zeros(-(-self.slots // BLOCK), bool)
+        arrays = self.shared
+        if arrays is None:
+            arrays = {name: np.zeros(shape, kind) for name, (kind, shape) in film_arrays(self.slots, self.light).items()}
+        self.sums, self.touched, self.locks = arrays["sums"], arrays["touched"], arrays["locks"]
+        self._left = np.zeros(len(self.touched), bool)
+        one, of = self.part
+        self._own = slice(len(self.touched) * one // of, len(self.touched) * (one + 1) // of)
 
     def add_pass(self, pass_film: np.ndarray, rows: slice | None = None) -> None:
         """Add what one pass put on `pass_film` (slots, 6) float32, and blank it. The caller counts passes: several
         ranks may have shared one. rows: slots outside are known to be black."""
-        rows = slice(0, self.slots) if rows is None else rows
-        self.nonfinite += _accumulate(pass_film[rows], self.sums[rows], self.quantum)
-        self.touched[rows.start // BLOCK : -(-rows.stop // BLOCK)] = True
+        self._add(_accumulate, pass_film, slice(0, self.slots) if rows is None else rows)
 
     def add_light(self, light_film: np.ndarray) -> None:
         """Add all light paths of one pass, (slots, 3) float32, and blank them."""
-        self.nonfinite += _accumulate_light(light_film, self.sums, self.quantum)
-        self.touched[:] = True
+        self._add(_accumulate_light, light_film, slice(0, self.slots))
+
+    def _add(self, accumulate: Callable[..., int], film: np.ndarray, rows: slice) -> None:
+        blocks = slice(rows.start // BLOCK, -(-rows.stop // BLOCK))
+        self._left[blocks] = True
+        span = rows.start, rows.stop
+        while True:
+            self.nonfinite += accumulate(film, span, self.sums, self.touched, self.locks, self._left, self.quantum)
+            if not self._left[blocks].any():
+                return
+            self.idle()
 
     def merge(self, other: "Film") -> None:
         """Add another film's sums and counts."""
         for rows in other._touched_rows():
             self.sums[rows] += other.sums[rows]
-        self.touched |= other.touched
+        self.touched[other._own] |= other.touched[other._own]
         self.passes += other.passes
         self.nonfinite += other.nonfinite
         self.rays += other.rays
@@ -128,12 +183,13 @@ class Film:
         """Forget everything."""
         for rows in self._touched_rows():
             self.sums[rows] = 0
-        self.touched[:] = False
+        self.touched[self._own] = False
         self.passes = self.nonfinite = self.rays = 0
 
     def _touched_rows(self) -> Iterator[slice]:
-        """Runs of touched blocks."""
-        ends = BLOCK * np.flatnonzero(np.diff(self.touched, prepend=False, append=False))
+        """Runs of touched blocks in this process's part."""
+        ends = np.flatnonzero(np.diff(self.touched[self._own], prepend=False, append=False))
+        ends = BLOCK * (self._own.start + ends)
         return (slice(start, stop) for start, stop in ends.reshape(-1, 2).tolist())
 
 
