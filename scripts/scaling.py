@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -22,19 +23,31 @@ import numpy as np
 from causticmpi.distributed.launch import launcher_command, launcher_environment
 
 ROOT = Path(__file__).resolve().parent.parent
-SLOTS, CHANNELS = 640 * 640, 12
+SLOTS, CHANNELS = 640 * 640, 21
 BUDGET, PICTURES_EVERY, ROUND = 240.0, 10.0, 1.0
 """The paper's four minutes, a picture every ten seconds, rounds of a second."""
+WORLDS = (
+    # ranks, nodes, latency [s] and bandwidth [B/s] between nodes
+    (2, 1, 0.0, math.inf),
+    (20, 5, 20e-6, 1e9),
+    (1000, 20, 2e-6, 1e10),
+    (10000, 200, 2e-6, 1e10),
+)
 
 
 @dataclass
 class Constants:
     """Seconds, on this machine. agree: a small collective of two ranks, asleep in between; reduce: the sums of a
-    640 x 640 picture over two ranks; write: EXR, PNG and report of it; prepare: photons, clusters, trees on rank 0;
-    begin: virtual lights of a pass; pass_seconds: a whole pass on one core; start: interpreter to first line."""
+    640 x 640 picture over two ranks as if on two nodes; merge: a round's sums to those before, by one core; add: a pass
+    and its light paths to the sums; estimate: the error of a group of passes; write: EXR, PNG and report; prepare:
+    photons, clusters, trees on rank 0; begin: virtual lights of a pass; pass_seconds: a whole pass on one core; start:
+    interpreter to first line."""
 
     agree: float
     reduce: float
+    merge: float
+    add: float
+    estimate: float
     write: float
     prepare: float
     begin: float
@@ -120,15 +133,50 @@ def collectives(ranks: int) -> tuple[float, float]:
 def measure(folder: Path) -> Constants:
     small = {ranks: collectives(ranks) for ranks in (2, 4, 20)}
     for ranks, (agree, reduce) in small.items():
-        print(f"{ranks:3} ranks: a small collective {1e3 * agree:.2f} ms, a reduction of 39 MB {1e3 * reduce:.0f} ms")
+        print(
+            f"{ranks:3} ranks: a small collective {1e3 * agree:.2f} ms; if each were a node, a reduction of 69 MB "
+            f"{1e3 * reduce:.0f} ms"
+        )
     reports = [render(1, folder / "one", "--spp", "6") for _ in range(3)]
     low = {name: min(r["seconds"][name] for r in reports) for name in reports[0]["seconds"]}
     passes = reports[0]["passes"]
     per_pass = min(r["cpu_seconds"]["tracing"] for r in reports) / passes
+    merge, add, error = film_seconds()
     return Constants(
-        agree=small[2][0], reduce=small[2][1], write=low["write"], begin=begin_seconds(), start=low["startup"],
+        agree=small[2][0], reduce=small[2][1], merge=merge, add=add, estimate=error,
+        write=low["write"], begin=begin_seconds(), start=low["startup"],
         prepare=low["photons"] + low["clustering"] + low["trees"], pass_seconds=per_pass,
     )  # fmt: skip
+
+
+def film_seconds() -> tuple[float, float, float]:
+    """CPU seconds of merging and forgetting a round, of adding a pass with light paths, of an error estimate."""
+    from causticmpi.render.film import Film
+    from causticmpi.render.precision import Precision
+
+    film, pending, groups = Film(SLOTS, 2.0**-36, light=True), Film(SLOTS, 2.0**-36, light=True), Precision()
+    one = np.random.default_rng(1).random((SLOTS, 6)).astype(np.float32)
+    found: list[list[float]] = [[], [], []]
+
+    def timed(kind: int, work: Callable[..., object], *arguments: object) -> None:
+        began = time.process_time()
+        work(*arguments)
+        found[kind].append(time.process_time() - began)
+
+    def add(eye: np.ndarray, light: np.ndarray) -> None:
+        pending.add_pass(eye)
+        pending.add_light(light)
+
+    def merge() -> None:
+        film.merge(pending)
+        pending.clear()
+
+    for passes in range(1, 8):
+        timed(1, add, one.copy(), one[:, :3].copy())
+        timed(0, merge)
+        timed(2, groups.take, film.sums, 3 * passes, 1.0)
+    merged, added, estimated = (statistics.median(seconds[2:]) for seconds in found)
+    return merged, added, estimated
 
 
 def begin_seconds() -> float:
@@ -152,35 +200,36 @@ def begin_seconds() -> float:
     return (time.process_time() - began) / 200
 
 
-def losses(c: Constants, ranks: int, latency: float, bandwidth: float) -> dict[str, float]:
+def losses(c: Constants, ranks: int, nodes: int, latency: float, bandwidth: float) -> dict[str, float]:
     """Shares of all ranks' time in BUDGET that are not tracing, by cause; see docs/scaling.md for each term.
 
-    latency [s], bandwidth [B/s]: of the network between two ranks.
+    latency [s], bandwidth [B/s]: of the network between two nodes.
     """
-    hops = math.ceil(math.log2(ranks)) if ranks > 1 else 0
+    hops = math.ceil(math.log2(nodes))
     pictures = BUDGET / PICTURES_EVERY
+    groups = 4 * math.log2(max(2.0, ranks * BUDGET / c.pass_seconds / 16))
     passes = max(1.0, ranks * ROUND / c.pass_seconds)
     shares = 8 * (1 + math.log(min(passes, 8 * ranks))) + max(0.0, passes / ranks - 8) if ranks > 1 else passes
     volume = SLOTS * CHANNELS * 8
-    reduction = (c.reduce + hops * latency + 2 * volume / bandwidth) if ranks > 1 else 0.0
+    reduction = c.reduce + hops * latency + 2 * volume / bandwidth if nodes > 1 else 0.0
     return {
         "start-up": c.start / BUDGET,
         "preprocess on rank 0": (c.prepare + hops * (latency + 2e7 / bandwidth)) / BUDGET,
+        "adding passes to sums": c.add / (c.add + c.pass_seconds),
+        "merging rounds": c.merge / min(4, ranks / nodes) / ROUND,
         "agreeing on rounds": 3 * (c.agree + hops * latency) / ROUND if ranks > 1 else 0.0,
         "waiting at a round's end": c.pass_seconds / (16 * ranks) / ROUND + 0.01 if ranks > 1 else 0.0,
         "virtual lights traced again": max(0.0, shares - passes / ranks) * c.begin / ROUND if ranks > 1 else 0.0,
         "the round that is dropped": ROUND / 2 / BUDGET,
-        "reductions": pictures * reduction / BUDGET,
+        "reductions between nodes": (pictures + groups) * reduction / BUDGET,
+        "error estimated by rank 0": groups * c.estimate / BUDGET,
         "pictures written by rank 0": pictures * c.write / BUDGET if ranks > 1 else 0.0,
     }
 
 
 def show_model(c: Constants) -> None:
     print(json.dumps({name: float(f"{value:.3g}") for name, value in asdict(c).items()}))
-    columns = {
-        ranks: losses(c, ranks, latency, bandwidth)
-        for ranks, latency, bandwidth in ((2, 1e-6, 5e9), (20, 20e-6, 1e9), (1000, 2e-6, 1e10), (10000, 2e-6, 1e10))
-    }
+    columns = {world[0]: losses(c, *world) for world in WORLDS}
     print(f"{'share of the time lost to':30}" + "".join(f"{ranks:>10}" for ranks in columns))
     for cause in columns[2]:
         print(f"{cause:30}" + "".join(f"{100 * column[cause]:9.2f}%" for column in columns.values()))

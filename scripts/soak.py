@@ -3,10 +3,10 @@
 
     .venv/bin/python scripts/soak.py 60min --ranks 20          (-h for all options)
 
-Samples the resident memory of every rank, and at every reduction has rank 0 add up the sums of all ranks by itself, in
-rank order, and compare them bit for bit. Prints one line a minute and the verdict; exit code 1 if the memory that any
-rank holds (the least of each minute's samples) moved by more than 2 % after the first tenth of the time (at least a
-minute), or if any sum differed.
+Samples the resident memory of every rank. Each keeps, besides, the sums of what it traced itself: at every reduction
+rank 0 adds these up, in rank order, and compares them bit for bit. Prints one line a minute and the verdict; exit code
+1 if the memory that any rank holds (the least of each minute's samples) moved by more than 2 % after the first tenth of
+the time (at least a minute), or if any sum differed.
 """
 
 import argparse
@@ -29,23 +29,45 @@ COMPARED = "CAUSTICMPI_SOAK_COMPARED"
 
 
 def check_reductions() -> None:
-    """Every reduction of this process is done twice from now on."""
-    from causticmpi.distributed.mpi_world import MpiWorld
+    """Every rank keeps the sums of what it traced itself, too, and at every reduction rank 0 adds them up."""
+    from causticmpi.distributed import run
+    from causticmpi.distributed.films import Films
+    from causticmpi.distributed.world import World
+    from causticmpi.render.film import Film
 
-    reduce_sum = MpiWorld.reduce_sum
+    class CheckedFilms(Films):
+        def __init__(self, world: World, slots: int, quantum: float, light: bool, halves: bool = False) -> None:
+            super().__init__(world, slots, quantum, light, halves)
+            self.world = world
+            self.own, self.own_round = Film(slots, quantum, light), Film(slots, quantum, light)
+            add_pass, add_light = self.pending.add_pass, self.pending.add_light
 
-    def checked(world: MpiWorld, array: np.ndarray) -> np.ndarray | None:
-        total = reduce_sum(world, array)
-        parts = world.gather(array)
-        if total is not None and parts is not None:
-            again = np.zeros_like(total)
-            for part in parts:
-                again += part
-            with open(os.environ[COMPARED], "a") as file:
-                file.write(f"{np.count_nonzero(again != total)} {total.size}\n")
-        return total
+            def add_pass_twice(film: np.ndarray, rows: slice | None = None) -> None:
+                self.own_round.add_pass(film.copy(), rows)
+                add_pass(film, rows)
 
-    MpiWorld.reduce_sum = checked  # type: ignore[method-assign]
+            def add_light_twice(film: np.ndarray) -> None:
+                self.own_round.add_light(film.copy())
+                add_light(film)
+
+            self.pending.add_pass, self.pending.add_light = add_pass_twice, add_light_twice  # type: ignore[method-assign]
+
+        def merge(self, passes: int, second: bool) -> None:
+            self.own.merge(self.own_round)
+            self.own_round.clear()
+            super().merge(passes, second)
+
+        def total(self) -> np.ndarray | None:
+            total, parts = super().total(), self.world.gather(self.own.sums)
+            if total is not None and parts is not None:
+                again = np.zeros_like(total)
+                for part in parts:
+                    again += part
+                with open(os.environ[COMPARED], "a") as file:
+                    file.write(f"{np.count_nonzero(again != total)} {total.size}\n")
+            return total
+
+    run.Films = CheckedFilms  # type: ignore[misc]
 
 
 def resident_mb(launcher: int) -> dict[int, float]:

@@ -19,6 +19,7 @@ from rendering import make_config
 from causticmpi.distributed import budget_clock
 from causticmpi.distributed import run as run_module
 from causticmpi.distributed.budget_clock import BudgetClock
+from causticmpi.distributed.films import Films
 from causticmpi.distributed.until import Until
 from causticmpi.distributed.world import SerialWorld
 from causticmpi.render import rounds
@@ -101,12 +102,13 @@ class SerialRun(run_module.Run):
     """The run's own loop and decisions, without a scene, files or a terminal."""
 
     def __init__(self, toy: Toy, budget: float, length: int = 1, until: Until | None = None) -> None:
-        self.length, self.until, self.second = length, until, Film(1, QUANTUM)
+        self.length, self.until = length, until
         self.world, self.flag = SerialWorld(), SimpleNamespace(raised=0)
         self.config = make_config(method="pt", budget={"time": budget})
         self.watch = SimpleNamespace(elapsed=lambda: 0.0, add=lambda name, seconds: None)
         self.pixels, self.limit, self.reserve = PIXELS, budget, 0.0
-        self.film, self.pending = Film(1, QUANTUM), Film(1, QUANTUM)
+        self.films = Films(SerialWorld(), 1, QUANTUM, light=False, halves=until is not None)
+        self.film, self.pending = self.films.merged, self.films.pending
         self.batches = Batches(toy, PIXELS, 1)
         self.rounds = self.stopped_by = 0
         self.snapshots = self.state = None

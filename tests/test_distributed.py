@@ -54,6 +54,16 @@ def test_collectives(ranks: int, per_node: int) -> None:
     assert named and not [file for file in named if file.exists()]
 
 
+@pytest.mark.parametrize(("ranks", "words"), [(3, "0"), (20, "7"), (3, "2 short")])
+def test_films_of_nodes_against_plain_sums(ranks: int, words: str) -> None:
+    done = run_mpi(ranks, [PROGRAMS / "node_films.py", *words.split()])
+    assert done.returncode == 0, done.stderr
+    assert sorted(int(line.split()[1]) for line in lines(done.stdout, "ok")) == list(range(ranks))
+    assert ("each rank has sums of its own" in done.stderr) == ("short" in words), done.stderr
+    named = shared_files(done.stdout)
+    assert named and not [file for file in named if file.exists()]
+
+
 def test_waiting_is_asleep() -> None:
     done = run_mpi(3, [PROGRAMS / "idle.py", "1.5"])
     measured = [[float(word) for word in line.split()[1:]] for line in lines(done.stdout, "cpu")]

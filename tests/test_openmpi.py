@@ -62,8 +62,9 @@ def openmpi() -> Run:
 
 
 @pytest.mark.parametrize(("ranks", "per_node"), [(3, 2)])
-def test_collectives(openmpi: Run, ranks: int, per_node: int) -> None:
-    done = openmpi(ranks, PROGRAMS / "collectives.py", str(per_node))
+@pytest.mark.parametrize("program", ["collectives.py", "node_films.py"])
+def test_collectives(openmpi: Run, program: str, ranks: int, per_node: int) -> None:
+    done = openmpi(ranks, PROGRAMS / program, str(per_node))
     remove_shared_memory(done.stdout)
     assert done.returncode == 0, done.stderr
     assert sorted(line.split()[1] for line in done.stdout.splitlines() if line.startswith("ok ")) == ["0", "1", "2"]

@@ -38,9 +38,9 @@ def check(arguments: argparse.Namespace) -> int:
     pixels = (x1 - x0) * (y1 - y0)
     triangles, spheres = len(scene.triangles), len(scene.spheres)
     channels = CHANNELS + (LIGHT_CHANNELS if traces_light(config) and has_specular(scene) else 0)
-    film_bytes = 2 * 8 * channels + 4 * 9  # merged and pending sums (float64), the films of one pass (float32)
-    rank_mb = PROCESS_MB + pixels * film_bytes / 2**20 + triangles * 150 / 2**20
-    node_mb = sum(getattr(scene, name).nbytes for name in scene.ARRAYS) / 2**20
+    rank_mb = PROCESS_MB + pixels * 4 * 9 / 2**20 + triangles * 150 / 2**20  # the films of one pass (float32)
+    node_mb = pixels * 2 * 8 * channels / 2**20  # merged and pending sums (float64)
+    node_mb += sum(getattr(scene, name).nbytes for name in scene.ARRAYS) / 2**20
     caustics, photons = "not forecast", 0
     if has_specular(scene) and config.method in FORECASTING:
         photons = config.forecast.photons

@@ -21,7 +21,7 @@ os.environ.setdefault("OMPI_MCA_osc", "^ucx")
 from mpi4py import MPI  # noqa: E402
 
 from causticmpi.distributed.watchdog import TRACING, WRITING, Watchdog, given_up_in_time  # noqa: E402
-from causticmpi.distributed.world import AgreedInputError, Arrays, World, require_summable  # noqa: E402
+from causticmpi.distributed.world import AgreedInputError, Arrays, Common, Shapes, World, require_summable  # noqa: E402
 from causticmpi.errors import InputError  # noqa: E402
 
 T = TypeVar("T")
@@ -78,6 +78,17 @@ def broadcast_bytes(comm: MPI.Intracomm, data: bytes | None, root: int) -> bytes
     return block.tobytes()
 
 
+def sum_over(comm: MPI.Intracomm, array: np.ndarray) -> np.ndarray | None:
+    """Collective on `comm`. On its rank 0 a new array, the sum over ranks; None elsewhere."""
+    source = np.ascontiguousarray(array).reshape(-1)
+    total = np.empty_like(source) if comm.rank == 0 else None
+    wait(comm.Ibarrier())
+    for start in range(0, len(source), REDUCE_CHUNK):
+        part = slice(start, start + REDUCE_CHUNK)
+        wait_bulk(comm.Ireduce(source[part], None if total is None else total[part], MPI.SUM, 0))
+    return None if total is None else total.reshape(array.shape)
+
+
 class MpiWorld(World):
     """All processes of MPI_COMM_WORLD; the contract is World's.
 
@@ -97,7 +108,8 @@ class MpiWorld(World):
             node = node.Split(node.rank // ranks_per_node, node.rank)
         self.node = cast(MPI.Intracomm, node)
         self.node_rank, self.node_size = self.node.rank, self.node.size
-        self.leaders = self.comm.Split(0 if self.is_node_leader else MPI.UNDEFINED, self.rank)
+        leaders = self.comm.Split(0 if self.is_node_leader else MPI.UNDEFINED, self.rank)
+        self.leaders = cast(MPI.Intracomm, leaders)
         self.leader = int(self.node.Get_group().Translate_ranks([0], self.comm.Get_group())[0])
         everyone: list[tuple[str, int]] = self.broadcast(self.gather((MPI.Get_processor_name(), self.leader)))
         self._hosts = [host for host, _ in everyone]
@@ -136,15 +148,16 @@ class MpiWorld(World):
         self._shared.append(shared)
         return shared
 
+    def hold_in_common(self, shapes: Shapes) -> Common:
+        from causticmpi.distributed.node_memory import hold_in_common
+
+        common = hold_in_common(self, shapes)
+        self._shared.append(common)
+        return common
+
     def reduce_sum(self, array: np.ndarray) -> np.ndarray | None:
         require_summable(array)
-        source = np.ascontiguousarray(array).reshape(-1)
-        total = np.empty_like(source) if self.is_root else None
-        self.barrier()
-        for start in range(0, len(source), REDUCE_CHUNK):
-            part = slice(start, start + REDUCE_CHUNK)
-            wait_bulk(self.comm.Ireduce(source[part], None if total is None else total[part], MPI.SUM, 0))
-        return None if total is None else total.reshape(array.shape)
+        return sum_over(self.comm, array)
 
     def all_min(self, value: int) -> int:
         return self._all(value, MPI.MIN)

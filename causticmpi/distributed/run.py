@@ -12,6 +12,7 @@ from causticmpi.distributed.begin import Input
 from causticmpi.distributed.budget_clock import BudgetClock
 from causticmpi.distributed.checkpoint import State
 from causticmpi.distributed.clock import Stopwatch
+from causticmpi.distributed.films import Films
 from causticmpi.distributed.prepare import PreparedScene, prepare_method
 from causticmpi.distributed.recorder import Recorder
 from causticmpi.distributed.result import Merged
@@ -26,7 +27,7 @@ from causticmpi.kernels.pixels import pixel_order
 from causticmpi.output.directory import Claim
 from causticmpi.output.picture import RELMSE_FLOOR
 from causticmpi.render.features import first_hits
-from causticmpi.render.film import Film, quantum_for
+from causticmpi.render.film import quantum_for
 from causticmpi.render.methods import traces_light
 from causticmpi.render.precision import Precision
 from causticmpi.render.rounds import Batches, divide, equal_round
@@ -46,8 +47,8 @@ FIRST_WRITE, FIRST_WRITE_PER_PIXEL = 0.3, 1e-6
 
 
 class Run:
-    """The state of one render. film: sums of the merged rounds; pending: of the round being traced; second: of the
-    second half of the passes, for `budget.until`; recorder: on rank 0 alone; stopped_by: a signal, 0 for none."""
+    """The state of one render. film: sums of the merged rounds, of all ranks of this node; pending: of the round being
+    traced; recorder: on rank 0 alone; stopped_by: a signal, 0 for none."""
 
     def __init__(
         self,
@@ -73,10 +74,10 @@ class Run:
         self.pixels = pixel_order(window, config.film.width)
         quantum = quantum_for(scene.brightest)
         light = traces_light(config) and has_specular(scene.data)
-        self.film, self.pending = Film(slots, quantum, light), Film(slots, quantum, light)
+        self.films = Films(world, slots, quantum, light, halves=config.budget.until is not None)
+        self.film, self.pending = self.films.merged, self.films.pending
         self.precision = Precision()
         self.until = None if config.budget.until is None else Until(float(config.budget.until))
-        self.second = Film(slots if self.until else 0, quantum, light)
         self.limit = float(config.budget.time) if config.budget.time is not None else None
         self.rounds = self.round_passes = 0
         self.stopped_by = 0
@@ -126,7 +127,7 @@ class Run:
             self._merge_round(passes)
             if self.stopped_by or self._good_enough():
                 break
-            passes = self.world.broadcast(self._next_round())
+            passes = self._meet_for_next_round()
             if self.snapshots is not None and self.snapshots.due(self.film.passes):
                 self._take_snapshot(self.snapshots)
             picture, checkpoint = self.world.broadcast(self._writing_due(seconds))
@@ -170,8 +171,7 @@ class Run:
             return
         self.film.passes, self.rounds = self.state.passes, self.state.rounds
         if self.sums_before is not None:
-            self.film.sums[:] = self.sums_before
-            self.film.touched[:] = True
+            self.films.take_up(self.sums_before)
             self.film.rays, self.film.nonfinite = self.state.rays, self.state.nonfinite
             self.sums_before = None
 
@@ -185,7 +185,6 @@ class Run:
 
     def _trace_round(self, passes: int) -> tuple[bool, int]:
         """Trace a round together. All ranks learn: was it dropped, and the signal that stopped it, or 0."""
-        self.pending.clear()
         shares = divide(
             self.film.passes, passes, len(self.pixels) // 16, self.world.size, self.batches.method.light_paths > 0
         )
@@ -195,12 +194,13 @@ class Run:
         return dropped > 0, signal
 
     def _merge_round(self, passes: int) -> None:
-        if self.until is not None and self.until.half(self.film.passes):
-            self.second.merge(self.pending)
-        self.film.merge(self.pending)
-        self.film.passes += passes
+        self.films.merge(passes, second=self.until is not None and self.until.half(self.film.passes) == 1)
         self.rounds += 1
         self.clock.keep_round()
+
+    def _meet_for_next_round(self) -> int:
+        """Collective. Passes of the next round, once all ranks have merged the last one."""
+        return self.world.all_max(self._next_round() if self.world.is_root else 0)
 
     def _next_round(self) -> int:
         """Passes of the next round; 0 ends the run. Rank 0's word counts."""
@@ -221,8 +221,9 @@ class Run:
         if not (group_ends or asked):
             return False
         with self.watch.stage("reduce"):
-            sums = self.world.reduce_sum(self.film.sums)
-            second = self.world.reduce_sum(self.second.sums) if asked else None
+            self.world.barrier()
+            sums = self.films.total()
+            second = self.films.total_of_second() if asked else None
         over = False
         if sums is not None:
             if group_ends:
@@ -242,7 +243,7 @@ class Run:
         """Collective. The clock of the budget stands still meanwhile, as for progressive pictures."""
         with self.clock.standing_still():
             seconds = self.clock.elapsed() - self.clock.written_for
-            sums = self.world.reduce_sum(self.film.sums)
+            sums = self.films.total()
             if sums is not None:
                 snapshots.take(sums, self.film.passes, seconds)
             self.world.barrier()
@@ -257,9 +258,9 @@ class Run:
         """Collective. Merge the sums of all ranks, and have rank 0 write a checkpoint and a picture of them."""
         taken = self.clock.elapsed()
         with self.watch.stage("reduce"):
-            sums = self.world.reduce_sum(self.film.sums)
             counts = self.world.reduce_sum(np.array([self.film.rays, self.film.nonfinite], np.int64))
-            second = self.world.reduce_sum(self.second.sums) if last and self.until is not None else None
+            sums = self.films.total()  # the ranks have met over the counts
+            second = self.films.total_of_second() if last and self.until is not None else None
             usage = self.world.gather(measure_usage(self.watch, self.batches))
         if self.world.is_root:
             self.world.pulse(writing=True)

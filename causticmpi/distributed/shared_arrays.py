@@ -61,11 +61,15 @@ class SharedBlock:
         self._skip = int(skip[0])
         self.bytes = whole[self._skip : self._skip + size]
 
+    def sync(self) -> None:
+        """What this rank wrote before, others see after a meeting and a `sync` of theirs."""
+        self._window.Sync()
+
     def publish(self) -> None:
         """Collective on the node. What was written before is visible to all after."""
-        self._window.Sync()
+        self.sync()
         wait(self._node.Ibarrier())
-        self._window.Sync()
+        self.sync()
 
     def fetch_and_add(self, offset: int, value: int) -> int:
         """Add to the 64-bit integer at byte `offset`, in one step for all ranks; returns what it was before."""
@@ -117,7 +121,7 @@ def share(world: MpiWorld, arrays: Arrays | None, chunk_bytes: int = CHUNK_BYTES
     if world.is_root and arrays is None:
         raise ValueError("share: rank 0 has to give the arrays")
     layout: Layout = world.broadcast(lay_out(arrays) if world.is_root and arrays is not None else None)
-    world.agree(shortage(layout.size, world.hosts()[world.rank]) if world.is_node_leader else None)
+    world.agree(shortage(layout.size, world.hosts()[world.rank], "the scene needs") if world.is_node_leader else None)
     block = SharedBlock(world, layout.size)
     if world.is_root and arrays is not None:
         for name, (dtype, shape, offset) in layout.entries.items():
@@ -130,8 +134,11 @@ def share(world: MpiWorld, arrays: Arrays | None, chunk_bytes: int = CHUNK_BYTES
     return SharedArrays(block, layout)
 
 
-def shortage(size: int, host: str, directory: str = "/dev/shm") -> InputError | None:
-    """The error to report if `size` bytes do not fit into shared memory: writing there would be a crash (SIGBUS)."""
+def shortage(size: int, host: str, who: str, directory: str = "/dev/shm") -> InputError | None:
+    """The error to report if `size` bytes do not fit into shared memory: writing there would be a crash (SIGBUS).
+
+    who: such as "the scene needs".
+    """
     try:
         status = os.statvfs(directory)
     except OSError:
@@ -140,6 +147,7 @@ def shortage(size: int, host: str, directory: str = "/dev/shm") -> InputError | 
     if size < free:
         return None
     return InputError(
-        f"{host}: the scene needs {size / 1e6:.0f} MB of shared memory, {directory} has {free / 1e6:.0f} MB free: "
-        "enlarge it (docker run --shm-size, mount -o remount,size=), remove left-overs there, or take a smaller scene"
+        f"{host}: {who} {size / 1e6:.0f} MB of shared memory, {directory} has {free / 1e6:.0f} MB free: "
+        "enlarge it (docker run --shm-size, mount -o remount,size=), remove left-overs there, or take a smaller scene "
+        "or picture"
     )

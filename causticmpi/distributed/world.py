@@ -5,7 +5,7 @@ have to know are exchanged with `agree`; anything else that escapes on one rank 
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from types import TracebackType
 from typing import Any, NoReturn, Self, TypeVar
 
@@ -16,10 +16,38 @@ from causticmpi.errors import InputError
 
 T = TypeVar("T")
 Arrays = dict[str, np.ndarray]
+Shapes = Mapping[str, tuple[type, tuple[int, ...]]]
+"""name -> (dtype, shape)."""
 
 
 class AgreedInputError(InputError):
     """Bad input that every rank knows of: all leave with code 2, the root alone prints the message."""
+
+
+class Common:
+    """Writable arrays, zeros at first, that `size` ranks hold together, this one being number `rank` of them.
+
+    What one writes the others see once all have called `sync`, met (`World.barrier`, `all_max`) and called it again.
+    Here: one rank's own, in a world of one.
+    """
+
+    rank: int = 0
+    size: int = 1
+
+    def __init__(self, shapes: Shapes) -> None:
+        self.arrays: Arrays = {name: np.zeros(shape, kind) for name, (kind, shape) in shapes.items()}
+
+    def sync(self) -> None:
+        """Local; see above."""
+
+    def total(self, name: str) -> np.ndarray | None:
+        """Collective, after a meeting. On the root the sum of this array over all who hold one, None elsewhere; it may
+        be the array itself, which nobody may write before the next meeting."""
+        return self.arrays[name]
+
+    def free(self) -> None:
+        """Collective. The memory is gone afterwards."""
+        self.arrays.clear()
 
 
 class World(ABC):
@@ -63,6 +91,10 @@ class World(ABC):
     @abstractmethod
     def share(self, arrays: Arrays | None) -> Arrays:
         """Collective. Rank 0's arrays on every rank, read-only, C order, held once per node; see shared_arrays.py."""
+
+    @abstractmethod
+    def hold_in_common(self, shapes: Shapes) -> Common:
+        """Collective. Arrays that the ranks of a node write together; see node_memory.py."""
 
     @abstractmethod
     def reduce_sum(self, array: np.ndarray) -> np.ndarray | None:
@@ -115,7 +147,7 @@ class World(ABC):
 
     @abstractmethod
     def release(self) -> None:
-        """Collective. Give back the memory of all arrays of `share` so far: no rank may use them afterwards."""
+        """Collective. Give back the memory of `share` and `hold_in_common` so far: no rank may use it afterwards."""
 
     @abstractmethod
     def close(self) -> None:
@@ -149,6 +181,9 @@ class SerialWorld(World):
             raise ValueError("share: rank 0 has to give the arrays")
         # Same layout and read-only flag as under MPI, so that compiled kernels are compiled for one type only.
         return {name: read_only(np.ascontiguousarray(a).reshape(a.shape)) for name, a in arrays.items()}
+
+    def hold_in_common(self, shapes: Shapes) -> Common:
+        return Common(shapes)
 
     def reduce_sum(self, array: np.ndarray) -> np.ndarray | None:
         require_summable(array)

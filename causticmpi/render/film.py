@@ -145,7 +145,9 @@ class Film:
     def __post_init__(self) -> None:
         arrays = self.shared
         if arrays is None:
-            arrays = {name: np.zeros(shape, kind) for name, (kind, shape) in film_arrays(self.slots, self.light).items()}
+            arrays = {
+                name: np.zeros(shape, kind) for name, (kind, shape) in film_arrays(self.slots, self.light).items()
+            }
         self.sums, self.touched, self.locks = arrays["sums"], arrays["touched"], arrays["locks"]
         self._left = np.zeros(len(self.touched), bool)
         one, of = self.part
