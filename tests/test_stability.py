@@ -142,7 +142,7 @@ def test_light_where_none_can_be_has_leaked() -> None:
 
 def row(value: float, label: str, relmse: float, **more: object) -> Row:
     return Row(**{"value": value, "x": value, "label": label, "biased": False, "relmse": relmse, "p": 0.5, "whole": 1.0,
-                  "resolution": 0.01, "difference": 0.001, **more})  # fmt: skip
+                  "resolution": 0.01, "difference": 0.001, "fireflies": 1.1, **more})  # fmt: skip
 
 
 def _said(made: Page, rows: list[Row]) -> str:

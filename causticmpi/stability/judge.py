@@ -129,14 +129,23 @@ def judge(
     """The rows of one cell. caustic: mean luminance of L_c to be expected."""
     unbiased = [m for m in (*found, *rivals) if not m.biased]
     sighted = [m for m in unbiased if sees(m, caustic) and not (page.constant_caustics and misses(m, caustic))]
-    best = min(sighted or unbiased, key=lambda m: float((m.variance / (m.rgb**2 + RELMSE_FLOOR)).mean()))
     rivals = sorted((r for r in rivals if r in sighted), key=lambda r: counted_hits(r, caustic) < SIGHT)
+    picture = _mean_picture(rivals or sighted or unbiased)
     rows = []
     for m in found:
         rival = next((r for r in rivals if r.label != m.label), None)
-        rows.append(_row(page, value, x, m, best.rgb, rival, caustic))
+        rows.append(_row(page, value, x, m, picture, rival, caustic))
     base = next((row for row in rows if row.label == page.baseline), None)
     return [_with_loss(row, base) for row in rows]
+
+
+def _mean_picture(measured: Sequence[Measured]) -> np.ndarray:
+    """(H, W, 3): what errors are relative to. Of rivals where there are some, who have no share in the errors judged.
+
+    Their own errors are the weights: the picture of the least error may owe that to a glint that it has not met.
+    """
+    weights = [1 / max(float((m.variance / (m.rgb**2 + RELMSE_FLOOR)).mean()), 1e-30) for m in measured]
+    return np.average([m.rgb for m in measured], axis=0, weights=weights)
 
 
 def _row(

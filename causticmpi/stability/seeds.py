@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from causticmpi.compare.statistics import interval
-from causticmpi.compare.tables import NOTHING, Table, number
+from causticmpi.compare.tables import Table, number
 from causticmpi.stability.judge import Row
 from causticmpi.stability.records import Claim, Page
 from causticmpi.stability.verdicts import shown
@@ -31,7 +31,8 @@ class Ratio:
 
     over: its label; wanted: the least by the claim; mean: geometric; low, high: 95 % interval of it, nan for one seed;
     least: of one seed; below: seeds below the wanted, of `count`; of_means: the ratio of the errors' plain means;
-    blind: whether a cell of either has too few hits for its error to be believed.
+    trimmed: as mean, of errors without the worst pixels; blind: whether a cell of either has too few hits for its error
+    to be believed.
     """
 
     over: str
@@ -43,6 +44,7 @@ class Ratio:
     below: int
     count: int
     of_means: float
+    trimmed: float
     blind: bool
 
     @property
@@ -60,12 +62,11 @@ def pooled(turns: Sequence[Turn]) -> list[Row]:
 
 
 def _pooled(rows: Sequence[Row]) -> Row:
-    def worst(verdict: str) -> int:
-        return 2 if verdict == "WRONG" else 1 if verdict.startswith("blind") else 0
+    def gravity(row: Row) -> int:
+        return 2 if row.verdict == "WRONG" else int(row.blind)
 
-    first = max(rows, key=lambda row: worst(row.verdict)).verdict if any(worst(row.verdict) for row in rows) else None
-    verdict = rows[0].verdict if first is None else first
-    return replace(rows[0], relmse=float(np.mean([row.relmse for row in rows])), verdict=verdict)
+    worst = max(rows, key=gravity)  # the first of equals
+    return replace(rows[0], relmse=float(np.mean([row.relmse for row in rows])), verdict=worst.verdict)
 
 
 def ratio(over: Sequence[Row], of: Sequence[Row], wanted: float) -> Ratio:
@@ -73,17 +74,19 @@ def ratio(over: Sequence[Row], of: Sequence[Row], wanted: float) -> Ratio:
     a, b = (np.array([row.relmse for row in rows]) for rows in (over, of))
     with np.errstate(divide="ignore", invalid="ignore"):
         each = a / b
+        trimmed = each * [y.fireflies / x.fireflies for x, y in zip(over, of, strict=True)]
     logs = interval(np.log(each[np.isfinite(each) & (each > 0)]))
     return Ratio(
         over=over[0].label,
         wanted=wanted,
-        mean=math.exp(logs.mean),
-        low=math.exp(logs.mean - logs.half),
-        high=math.exp(logs.mean + logs.half),
+        mean=float(np.exp(logs.mean)),
+        low=float(np.exp(logs.mean - logs.half)),
+        high=float(np.exp(logs.mean + logs.half)),
         least=float(each.min()),
         below=int((each < wanted).sum()),
         count=len(each),
         of_means=float(a.mean() / b.mean()),
+        trimmed=float(np.exp(np.log(trimmed).mean())),
         blind=any(not row.trusted for row in (*over, *of)),
     )
 
@@ -99,7 +102,8 @@ class Cell:
 
 
 def cells(page: Page, claim: Claim, turns: Sequence[Turn]) -> list[Cell]:
-    """All cells of the page. The best fixed setting is that of the least mean error over all seeds."""
+    """All cells of the page. The best fixed setting is that of the least mean error over all seeds, blind ones left
+    out."""
     assert page.sweep is not None and page.baseline is not None
     made = []
     for value in page.sweep.values:
@@ -109,7 +113,8 @@ def cells(page: Page, claim: Claim, turns: Sequence[Turn]) -> list[Cell]:
         }
         if any(not math.isfinite(row.relmse) for rows in by_label.values() for row in rows):
             continue  # refused, or never begun: named among the cells that fail
-        best = min(claim.fixed, key=lambda label: float(np.mean([row.relmse for row in by_label[label]])))
+        known = [label for label in claim.fixed if all(row.trusted for row in by_label[label])] or claim.fixed
+        best = min(known, key=lambda label: float(np.mean([row.relmse for row in by_label[label]])))
         own = by_label[claim.of]
         made.append(
             Cell(
@@ -126,16 +131,13 @@ def table(name: str, page: Page, claim: Claim, turns: Sequence[Turn]) -> Table:
     """The claim in every cell."""
     assert page.sweep is not None
     rows = [
-        (
-            cell.value, _with_bounds(cell.plain), _below(cell.plain), number(cell.plain.of_means), cell.plain.verdict,
-            cell.best.over, _with_bounds(cell.best), _below(cell.best), number(cell.best.of_means), cell.best.verdict,
-            number(cell.fireflies),
-        )
+        (cell.value, *_figures(cell.plain), cell.best.over, *_figures(cell.best), number(cell.fireflies))
         for cell in cells(page, claim, turns)
-    ]  # fmt: skip
+    ]
     columns = (
-        page.sweep.name, f"efficiency / {page.baseline}", f"below {ENOUGH}", "of mean errors", "claim",
-        "best fixed", "efficiency / best fixed", f"below {KEPT}", "of mean errors ", "claim ", "error / trimmed",
+        page.sweep.name, f"efficiency / {page.baseline}", f"below {ENOUGH}", "of mean errors", "trimmed", "claim",
+        "best fixed", "efficiency / best fixed", f"below {KEPT}", "of mean errors ", "trimmed ", "claim ",
+        "error / trimmed",
     )  # fmt: skip
     return Table(
         f"{name}-seeds",
@@ -147,19 +149,15 @@ def table(name: str, page: Page, claim: Claim, turns: Sequence[Turn]) -> Table:
         "errors: ratio of the means over seeds. The claim holds where all of the interval is above, FAILS where all of "
         "it is below, else it is open; blind: one of the two met too little light in some seed for its error to be "
         "believed (that of who is blind is mostly too small). Best fixed: of least mean error. Trimmed: without the "
-        "worst 0.1 % of the pixels; median over seeds.",
+        "worst 0.1 % of the pixels, geometric mean; error / trimmed: of the claimant, median over seeds.",
     )
 
 
-def _with_bounds(found: Ratio) -> str:
-    if not math.isfinite(found.mean):
-        return NOTHING
-    spread = f" ({number(found.low)} to {number(found.high)})" if math.isfinite(found.low) else ""
-    return f"{number(found.mean)}{spread} [{number(found.least)}]"
-
-
-def _below(found: Ratio) -> str:
-    return f"{found.below} of {found.count}"
+def _figures(found: Ratio) -> tuple[str, str, str, str, str]:
+    spread = f" ({found.low:.2g} to {found.high:.2g})" if math.isfinite(found.low) else ""
+    mean = f"{number(found.mean)}{spread} [{number(found.least)}]"
+    below = f"{found.below} of {found.count}"
+    return mean, below, number(found.of_means), number(found.trimmed), found.verdict
 
 
 def said(page: Page, claim: Claim, turns: Sequence[Turn]) -> str:

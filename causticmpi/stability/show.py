@@ -19,6 +19,10 @@ if TYPE_CHECKING:
 
 LONGEST = 160
 """Characters of a reason in a table."""
+SPREAD = 4.0
+"""Points between the marks of two methods in the chart of z."""
+MOST_TICKS = 8
+"""Values that have a tick of their own each on a logarithmic axis."""
 FAR = 6.0
 """Standard errors at which the chart of z ends."""
 
@@ -66,7 +70,7 @@ def chart(page: Page, rows: Sequence[Row]) -> "Figure":
 
     assert page.sweep is not None
     values = page.sweep.values
-    figure = Figure(figsize=(12, 6.6), layout="constrained")
+    figure = Figure(figsize=(9.5, 6), layout="constrained")
     grid = figure.subfigures(2, 1, height_ratios=(3, 1.25), squeeze=False)
     upper, lower = grid[:, 0]
     error, deviation = upper.subplots(1, 2)
@@ -76,16 +80,24 @@ def chart(page: Page, rows: Sequence[Row]) -> "Figure":
         _axis(panel, page, place, by_number)
     for i, contender in enumerate(page.contenders):
         own = sorted((row for row in rows if row.label == contender.label), key=lambda row: place[shown(row.value)])
-        _curves(error, deviation, own, place, PALETTE[i % len(PALETTE)])
+        aside = SPREAD * (i - (len(page.contenders) - 1) / 2)
+        _curves(error, deviation, own, place, PALETTE[i % len(PALETTE)], aside)
     error.set(yscale="log", title=f"relMSE after {page.equal_time:g} CPU seconds", ylabel="relMSE")
     title = "deviation of the picture's mean from the truth" if page.truth.exact != 0 else "leaked radiance"
     deviation.axhspan(-3, 3, color="#eeeeee", zorder=0)
-    deviation.set(ylim=(-FAR - 0.5, FAR + 0.5), title=title, ylabel="standard errors (clipped)")
-    handles, labels = error.get_legend_handles_labels()
-    if handles:
-        error.legend(handles, labels, fontsize=8, framealpha=0.85, edgecolor="none")
-    _strip(lower, page, rows)
+    deviation.set(ylim=(-FAR - 0.5, FAR + 0.5), title=title, ylabel=f"standard errors (clipped at {FAR:g})")
+    deviation.set_xlim(error.get_xlim())
+    for panel in (error, deviation):
+        _legend(panel)
+    _strip(lower, page, sorted(rows, key=lambda row: place[shown(row.value)]))
     return figure
+
+
+def _legend(panel: "Axes") -> None:
+    """Of what is drawn, each name once."""
+    named = dict(zip(*reversed(panel.get_legend_handles_labels()), strict=True))
+    if named:
+        panel.legend(named.values(), named.keys(), fontsize=8, framealpha=0.85, edgecolor="none")
 
 
 def _index(values: Sequence[object], row: Row) -> int:
@@ -97,8 +109,11 @@ def _axis(panel: "Axes", page: Page, place: dict[str, float], by_number: bool) -
     panel.set_xlabel(page.sweep.name)
     if by_number and max(place.values()) > 8 * min(place.values()):
         panel.set_xscale("log")
+        if len(place) <= MOST_TICKS:
+            panel.set_xticks(list(place.values()), list(place))
+            panel.set_xticks([], minor=True)
     if not by_number:
-        turned = sum(map(len, place)) > 40
+        turned = sum(map(len, place)) > 24
         panel.set_xticks(
             list(place.values()), list(place), rotation=30 if turned else 0, ha="right" if turned else "center"
         )
@@ -112,7 +127,12 @@ def _axis(panel: "Axes", page: Page, place: dict[str, float], by_number: bool) -
     panel.set_axisbelow(True)
 
 
-def _curves(error: "Axes", deviation: "Axes", rows: Sequence[Row], place: dict[str, float], colour: str) -> None:
+def _curves(
+    error: "Axes", deviation: "Axes", rows: Sequence[Row], place: dict[str, float], colour: str, aside: float
+) -> None:
+    """aside: points by which the marks of z are moved, so that none hides another."""
+    from matplotlib.transforms import ScaledTranslation
+
     known = [row for row in rows if math.isfinite(row.relmse) and row.relmse > 0]
     if not rows:
         return
@@ -128,16 +148,25 @@ def _curves(error: "Axes", deviation: "Axes", rows: Sequence[Row], place: dict[s
                 [place[shown(row.value)] for row in some], [row.relmse for row in some], "o", color=colour,
                 markerfacecolor=face, label=name if some else None,
             )  # fmt: skip
+    moved = deviation.transData + ScaledTranslation(aside / 72, 0, deviation.figure.dpi_scale_trans)
     for row in rows:
-        at = place[shown(row.value)]
-        if row.blind and math.isfinite(row.whole):
-            deviation.plot(at, float(np.clip(row.whole, -FAR, FAR)), "o", color=colour, markerfacecolor="none")
-        elif row.tested and math.isfinite(row.whole):
-            wrong = row.verdict.lower().startswith(("wrong", "leaks"))
-            marker = "X" if wrong else "o"
-            deviation.plot(at, float(np.clip(row.whole, -FAR, FAR)), marker, color=colour, markersize=9 if wrong else 5)
-        else:
-            deviation.plot(at, -FAR, "|", color=colour, markersize=9)
+        meaning, marker, face, size = _mark(row, colour)
+        z = float(np.clip(row.whole, -FAR, FAR)) if row.tested or row.blind and math.isfinite(row.whole) else -FAR
+        deviation.plot(
+            place[shown(row.value)], z, marker, color=colour, markerfacecolor=face, markersize=size, label=meaning,
+            transform=moved,
+        )  # fmt: skip
+
+
+def _mark(row: Row, colour: str) -> tuple[str | None, str, str, float]:
+    """Name in the legend, shape, face and size of a mark of z."""
+    if row.blind:
+        return "too few hits to judge", "o", "none", 5
+    if not row.tested:
+        return "not tested", "|", colour, 9
+    if row.verdict.lower().startswith(("wrong", "leaks")):
+        return "wrong", "X", colour, 9
+    return None, "o", colour, 5
 
 
 def _strip(figure: "SubFigure", page: Page, rows: Sequence[Row]) -> None:

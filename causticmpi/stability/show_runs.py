@@ -72,7 +72,7 @@ def chart(results: Sequence[Result]) -> "Figure":
     """What the runs did."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(12, 4.2), layout="constrained")
+    figure = Figure(figsize=(9.5, 3.8), layout="constrained")
     left, right = figure.subplots(1, 2)
     for i, found in enumerate(results):
         colour = PALETTE[i % len(PALETTE)]
@@ -98,7 +98,12 @@ def _coverage(left: "Axes", right: "Axes", found: Coverage, colour: str, index: 
     left.plot(x, ratio, "o", color=colour, markersize=3.5, label=found.label)
     left.axhline(1, color="#555555", linewidth=1)
     left.axhspan(1 / TRUE_WITHIN, TRUE_WITHIN, color="#eeeeee", zorder=0)
-    left.set(yscale="log", title="estimated over true relMSE, with its interval", xlabel="runs, by estimate")
+    left.set(
+        yscale="log",
+        title="estimated over true relMSE, with its interval",
+        xlabel="runs, by estimate",
+        ylabel="estimated / true",
+    )
     right.plot(found.estimated, np.maximum(found.actual, 1e-300), "o", color=colour, markersize=4, label=found.label)
     right.set(xscale="log", yscale="log", xlabel="estimated relMSE", ylabel="squared error of the run's own picture")
     low, high = found.estimated.min() / 1.5, found.estimated.max() * 1.5
@@ -124,6 +129,8 @@ def _stops(left: "Axes", right: "Axes", found: Stops, colour: str) -> None:
 def _long(left: "Axes", right: "Axes", found: Long, colour: str) -> None:
     samples, mean, share = found.curve.T
     left.plot(samples, mean / mean[-1], color=colour, label=found.label)
-    left.set(xscale="log", title="mean of a pixel, over the last one", xlabel="samples")
+    left.set(xscale="log", title="mean of a pixel, over the last one", xlabel="samples", ylabel="mean / last mean")
     right.plot(samples, share, color=colour, label=found.label)
-    right.set(xscale="log", yscale="log", title="the largest sample's share of the pixel", xlabel="samples")
+    right.set(
+        xscale="log", yscale="log", title="the largest sample's share of the pixel", xlabel="samples", ylabel="share"
+    )

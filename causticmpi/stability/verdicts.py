@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -49,9 +50,11 @@ def unbiasedness(rows: Sequence[Row]) -> str:
 
 
 def shown(value: Value) -> str:
-    """A value for people."""
+    """A value for people: a scene file by its name."""
     if isinstance(value, list):
         return "x".join(map(str, value))
+    if isinstance(value, str) and value.endswith(".yaml"):
+        return Path(value).stem
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
