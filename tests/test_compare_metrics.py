@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from causticmpi.compare.metrics import caustic_mask, flip_missing, mean_flip, measure, signed_error, trimmed
-from causticmpi.compare.reference import ReferencePicture
+from causticmpi.compare.reference import ReferencePicture, few_hits
 from causticmpi.compare.statistics import (
     agreement,
     block_means,
@@ -142,6 +142,15 @@ def test_agreement_finds_a_small_difference_and_none_where_there_is_none() -> No
     same = np.ones((4, 3))
     assert agreement(same, same).p == 1.0 and agreement(same, same + 1).p < 1e-12
     assert agreement(same, same + 1).p_above == 1.0 and agreement(same + 1, same).p_above < 1e-12
+
+
+def test_a_check_too_dark_by_few_hits_judges_no_reference() -> None:
+    random = np.random.default_rng(4)
+    sure = 1 + 0.001 * random.normal(size=(16, 16))
+    rare = 0.5 + 0.001 * random.normal(size=(16, 16)) + 0.5 * random.poisson(0.05, size=(16, 16)) / 0.05
+    found = few_hits(sure, rare), few_hits(rare, sure)
+    assert found[0] == found[1] is not None and 3 < found[0] < 40  # 13 are to be expected
+    assert few_hits(sure, 0.95 * sure) is None and few_hits(sure, 100 * rare) is None
 
 
 def test_rare_hits_are_counted_where_there_are_few() -> None:

@@ -13,13 +13,15 @@ import numpy as np
 from causticmpi.compare.files import read_layers, read_report
 from causticmpi.compare.load import batch_runs
 from causticmpi.compare.plan import Part, Plan, Run
-from causticmpi.compare.statistics import Agreement, agreement, block_means
+from causticmpi.compare.statistics import SIGHT, Agreement, agreement, block_means, rare_hits
 from causticmpi.errors import InputError
 from causticmpi.output.directory import write_whole
 from causticmpi.output.exr import write_exr
 from causticmpi.output.picture import Picture
 
 PICTURE, FACTS, BLOCKS = "reference.exr", "reference.json", "blocks.npz"
+FEWEST_BATCHES = 3
+"""Whose skew can be told."""
 ALPHA = 1e-3
 """Significance of the check: one in a thousand correct references would fail it."""
 
@@ -96,6 +98,7 @@ def assemble(part: Part, batches: Sequence[Run], directory: Path, scene_hash: st
         "block": block,
         "agreement": asdict(verdict),
         "agrees": verdict.p > ALPHA,
+        "few_hits": few_hits(means, check_means),
         "alpha": ALPHA,
     }
     attributes: dict[str, str | int | float] = {
@@ -111,6 +114,15 @@ def assemble(part: Part, batches: Sequence[Run], directory: Path, scene_hash: st
     for role in ("estimate", "check"):
         shutil.rmtree(directory / role, ignore_errors=True)
     return ReferencePicture(merged.rgb, merged.caustic, merged.variance, facts)
+
+
+def few_hits(estimate: np.ndarray, check: np.ndarray) -> float | None:
+    """Rare hits in the batches of the picture that is too dark, if they are too few for its mean to be judged."""
+    dark, p_above = (check, agreement(check, estimate).p_above)
+    if p_above <= ALPHA:  # the check is too bright somewhere: it is the estimate that is too dark there
+        dark, p_above = (estimate, agreement(estimate, check).p_above)
+    hits = rare_hits(dark) if p_above > ALPHA and len(dark) >= FEWEST_BATCHES else SIGHT
+    return hits if hits < SIGHT else None
 
 
 def _save_blocks(estimate: np.ndarray, check: np.ndarray, path: Path) -> None:
@@ -174,11 +186,13 @@ def told(facts: dict[str, Any]) -> str:
     """One sentence on a reference, for people."""
     estimate, check = facts["estimate"], facts["check"]
     found = Agreement(**facts["agreement"])
-    verdict = "agrees with" if facts["agrees"] else "DISAGREES with"
+    few = None if facts["agrees"] else facts.get("few_hits")
+    verdict = "agrees with" if facts["agrees"] else "DISAGREES with" if few is None else "cannot be judged by"
     return (
         f"{estimate['method']}, {estimate['samples_per_pixel']} samples per pixel in {estimate['batches']} batches "
         f"(seeds {estimate['seeds'][0]} to {estimate['seeds'][-1]}); {verdict} {check['method']}, "
         f"{check['samples_per_pixel']} samples per pixel in {check['batches']} batches: p = {found.p:.2g} "
         f"(Sidak-corrected over {found.tests} means of {facts['block']} x {facts['block']} pixels, largest deviation "
         f"{found.z:.1f} standard errors), means differ by {100 * found.difference:+.2f} %"
+        + ("" if few is None else f"; what is too dark holds too few rare hits to judge ({few:.2g})")
     )

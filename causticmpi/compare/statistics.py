@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 CONFIDENCE = 0.95
+SIGHT = 100
+"""Rare bright hits that a picture needs before a mean that is too low is worth a t-test."""
 SKEWED = 4.0
 """Standard errors of a normal sample's third moment from which batches count as skewed."""
 DECADE = 10.0

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from causticmpi.compare.statistics import agreement, rare_hits
+from causticmpi.compare.statistics import SIGHT, agreement, rare_hits
 from causticmpi.output.picture import RELMSE_FLOOR
 from causticmpi.render.foresight import TOO_FAR
 from causticmpi.stability.cell import Measured
@@ -15,8 +15,6 @@ from causticmpi.stability.records import Page, Value
 
 ALPHA = 1e-4
 """Significance of a cell's test, all its means together: a report of some 500 cells has a false alarm in 1 of 20."""
-SIGHT = 100
-"""Rare bright hits that a method needs before a mean that is too low is worth a t-test."""
 SHARE_OF_LIGHT = 0.3
 """Of the light's radiance in a pixel that one such hit brings: albedo and Fresnel losses."""
 SMOOTHING = 3

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from causticmpi.compare.charts import PALETTE
+from causticmpi.compare.statistics import SIGHT
 from causticmpi.compare.tables import NOTHING, Table, number
 from causticmpi.output.png import srgb_bytes
-from causticmpi.stability.judge import SIGHT, Row
+from causticmpi.stability.judge import Row
 from causticmpi.stability.records import Page
 from causticmpi.stability.verdicts import shown
 
