@@ -12,7 +12,8 @@ body { font: 16px/1.5 system-ui, sans-serif; max-width: 1280px; margin: 2em auto
 h1 { font-size: 1.7em; } h2 { margin-top: 2.2em; border-bottom: 1px solid #ccc; } h3 { margin-top: 1.6em; }
 table { border-collapse: collapse; font-size: 0.85em; font-variant-numeric: tabular-nums; }
 th { text-align: left; border-bottom: 2px solid #888; vertical-align: bottom; }
-td { border-bottom: 1px solid #ddd; white-space: nowrap; } th, td { padding: 0.25em 0.9em 0.25em 0; }
+td { border-bottom: 1px solid #ddd; white-space: nowrap; } td:nth-child(2):last-child { white-space: normal; }
+th, td { padding: 0.25em 0.9em 0.25em 0; }
 .wide { overflow-x: auto; } .note, figcaption { font-size: 0.85em; color: #555; max-width: 60em; }
 figure { margin: 1.2em 0; } img { max-width: 100%; height: auto; } .alarm { color: #b00020; font-weight: bold; }
 """

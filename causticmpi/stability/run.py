@@ -110,10 +110,10 @@ def _section(loaded: Loaded, results: dict[str, Any], turns: int) -> tuple[Secti
         found = f"{seeds.said(made, made.claim, by_seed)} {found}"
     paragraphs = [made.question, found]
     paragraphs += ["Cells that fail: " + "; ".join(failing) + "."] if failing else []
-    caption = f"{made.title}. Below: pictures of {made.contenders[-1].label} by {made.sweep.name}."
-    content = [Image(name, charts.as_png(show.chart(made, rows)), caption), show.table(name, made, rows)]
-    if made.claim is not None:
-        content.append(seeds.table(name, made, made.claim, by_seed))
+    caption = f"{made.title}. Below: pictures of {show.shown_in_pictures(made)} by {made.sweep.name}."
+    content = [Image(name, charts.as_png(show.chart(made, rows)), caption)]
+    content += [seeds.table(name, made, made.claim, by_seed)] if made.claim is not None else []
+    content.append(show.table(name, made, rows))
     alarm = f"{len(wrong)} cells are wrong." if wrong else ""
     return Section(made.title, paragraphs, content, alarm), len(wrong)
 

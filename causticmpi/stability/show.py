@@ -170,12 +170,17 @@ def _mark(row: Row, colour: str) -> tuple[str | None, str, str, float]:
     return None, "o", colour, 5
 
 
+def shown_in_pictures(page: Page) -> str:
+    """Label of the contender whose pictures stand below the chart."""
+    return page.claim.of if page.claim is not None else page.contenders[-1].label
+
+
 def _strip(figure: "SubFigure", page: Page, rows: Sequence[Row]) -> None:
-    """The last contender's picture at each value, or what is wrong with it if it is biased; a cell without a picture
+    """One contender's picture at each value, or what is wrong with it if it is biased; a cell without a picture
     says why."""
     assert page.sweep is not None
-    last = page.contenders[-1].label
-    own = [row for row in rows if row.label == last]
+    label = shown_in_pictures(page)
+    own = [row for row in rows if row.label == label]
     cells = figure.subplots(1, len(own), squeeze=False)[0]
     for cell, row in zip(cells, own, strict=True):
         cell.set(xticks=[], yticks=[])
@@ -187,4 +192,4 @@ def _strip(figure: "SubFigure", page: Page, rows: Sequence[Row]) -> None:
         else:
             cell.imshow(srgb_bytes(row.rgb), interpolation="nearest")
     signed = any(row.signed is not None for row in own)
-    cells[0].set_ylabel(f"{last}:\ntoo bright red,\ntoo dark blue" if signed else last, fontsize=8)
+    cells[0].set_ylabel(f"{label}:\ntoo bright red,\ntoo dark blue" if signed else label, fontsize=8)

@@ -106,6 +106,7 @@ def _coverage(left: "Axes", right: "Axes", found: Coverage, colour: str, index: 
     )
     right.plot(found.estimated, np.maximum(found.actual, 1e-300), "o", color=colour, markersize=4, label=found.label)
     right.set(xscale="log", yscale="log", xlabel="estimated relMSE", ylabel="squared error of the run's own picture")
+    right.set_title("a run's estimate and its picture's own error")
     low, high = found.estimated.min() / 1.5, found.estimated.max() * 1.5
     right.plot([low, high], [low, high], color="#999999", linewidth=1)
 
@@ -123,6 +124,7 @@ def _stops(left: "Axes", right: "Axes", found: Stops, colour: str) -> None:
         capsize=4, label=found.label,
     )  # fmt: skip
     right.axhline(0, color="#555555", linewidth=1)
+    right.margins(x=0.15)
     right.set(title="mean of all pictures, off by (2 standard errors)", ylabel="%")
 
 
