@@ -47,7 +47,9 @@ def run_failing(ranks: int, what: str, rank: int) -> "subprocess.CompletedProces
 
 @pytest.mark.parametrize(("ranks", "per_node"), [(2, 0), (3, 0), (3, 2), (3, 1), (20, 7)])
 def test_collectives(ranks: int, per_node: int) -> None:
-    done = run_mpi(ranks, [PROGRAMS / "collectives.py", str(per_node)])
+    # One rank a node: MPICH takes its windows from malloc then, which here fills them with rubbish.
+    alone = {"MPIR_CVAR_NOLOCAL": "1", "MALLOC_PERTURB_": "7"} if per_node == 1 else {}
+    done = run_mpi(ranks, [PROGRAMS / "collectives.py", str(per_node)], env=alone)
     assert done.returncode == 0, done.stderr
     assert sorted(int(line.split()[1]) for line in lines(done.stdout, "ok")) == list(range(ranks))
     named = shared_files(done.stdout)

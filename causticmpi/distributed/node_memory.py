@@ -62,8 +62,4 @@ def hold_in_common(world: MpiWorld, shapes: Shapes) -> Common:
                 f"causticmpi: warning: {first}; until then each rank has sums of its own", file=sys.stderr, flush=True
             )
         return RankMemory(world, shapes)
-    block = SharedBlock(world, layout.size)
-    cuts = [layout.size * rank // world.node_size for rank in (world.node_rank, world.node_rank + 1)]
-    block.bytes[slice(*cuts)] = 0  # pages come into being, each near one of the ranks, or fail now
-    block.publish()
-    return NodeMemory(world, block, layout)
+    return NodeMemory(world, SharedBlock(world, layout.size), layout)

@@ -60,6 +60,10 @@ class SharedBlock:
         wait(self._node.Ibcast(skip, 0))  # the leader's count holds for all: mappings differ by whole pages
         self._skip = int(skip[0])
         self.bytes = whole[self._skip : self._skip + size]
+        # No MPI promises zeros. Each rank writes its part: pages come into being near the ranks, or fail now.
+        rank, ranks = self._node.rank, self._node.size
+        self.bytes[size * rank // ranks : size * (rank + 1) // ranks] = 0
+        self.publish()
 
     def sync(self) -> None:
         """What this rank wrote before, others see after a meeting and a `sync` of theirs."""
