@@ -45,7 +45,7 @@ def measured_pictures(label: str, method: str, pictures: np.ndarray, **more: obj
     plain = {
         "label": label, "method": method, "biased": False, "passes": BATCHES, "seconds": 1.0, "preprocess": 0.0,
         "rays": 1000, "slowest": 1.0, "memory_mb": 100.0, "nonfinite": 0, "rgb": pictures.mean(axis=0),
-        "variance": pictures.var(axis=0, ddof=1) / BATCHES, "blocks": blocks, "caustic": 0.1, "brightest": 1.0,
+        "variance": pictures.var(axis=0, ddof=1) / BATCHES, "blocks": blocks, "caustic": 0.1, "brightest": 0.5,
         "radius": 0.1, "bound": 1.0, "by_chance": method == "pt",
     }  # fmt: skip
     return Measured(**{**plain, **more})

@@ -13,7 +13,7 @@ import numpy as np
 from causticmpi.compare.files import read_layers, read_report
 from causticmpi.compare.load import batch_runs
 from causticmpi.compare.plan import Part, Plan, Run
-from causticmpi.compare.statistics import SIGHT, Agreement, agreement, block_means, rare_hits
+from causticmpi.compare.statistics import FEW_HITS, Agreement, agreement, block_means, rare_hits
 from causticmpi.errors import InputError
 from causticmpi.output.directory import write_whole
 from causticmpi.output.exr import write_exr
@@ -121,8 +121,8 @@ def few_hits(estimate: np.ndarray, check: np.ndarray) -> float | None:
     dark, p_above = (check, agreement(check, estimate).p_above)
     if p_above <= ALPHA:  # the check is too bright somewhere: it is the estimate that is too dark there
         dark, p_above = (estimate, agreement(estimate, check).p_above)
-    hits = rare_hits(dark) if p_above > ALPHA and len(dark) >= FEWEST_BATCHES else SIGHT
-    return hits if hits < SIGHT else None
+    hits = rare_hits(dark) if p_above > ALPHA and len(dark) >= FEWEST_BATCHES else FEW_HITS
+    return hits if hits < FEW_HITS else None
 
 
 def _save_blocks(estimate: np.ndarray, check: np.ndarray, path: Path) -> None:

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 CONFIDENCE = 0.95
-SIGHT = 100
-"""Rare bright hits that a picture needs before a mean that is too low is worth a t-test."""
+FEW_HITS = 400
+"""Rare bright hits that a picture needs before a mean that is too low is worth a t-test: 25 in each of 16 squares, for
+one that got a fourth of its hits is dark and seems sure of it."""
 SKEWED = 4.0
 """Standard errors of a normal sample's third moment from which batches count as skewed."""
 DECADE = 10.0

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from causticmpi.compare.statistics import SIGHT, agreement, rare_hits
+from causticmpi.compare.statistics import FEW_HITS, agreement, rare_hits
 from causticmpi.output.picture import RELMSE_FLOOR
 from causticmpi.render.foresight import TOO_FAR
 from causticmpi.stability.cell import Measured
@@ -15,6 +15,8 @@ from causticmpi.stability.records import Page, Value
 
 ALPHA = 1e-4
 """Significance of a cell's test, all its means together: a report of some 500 cells has a false alarm in 1 of 20."""
+SIGHT = 100
+"""Hits on a light behind specular surfaces that a path tracer needs before its error can be believed."""
 SHARE_OF_LIGHT = 0.3
 """Of the light's radiance in a pixel that one such hit brings: albedo and Fresnel losses."""
 SMOOTHING = 3
@@ -127,7 +129,7 @@ def judge(
     """The rows of one cell. caustic: mean luminance of L_c to be expected."""
     unbiased = [m for m in (*found, *rivals) if not m.biased]
     sighted = [m for m in unbiased if sees(m, caustic) and not (page.constant_caustics and misses(m, caustic))]
-    rivals = sorted((r for r in rivals if r in sighted), key=lambda r: counted_hits(r, caustic) < SIGHT)
+    rivals = sorted((r for r in rivals if r in sighted), key=lambda r: counted_hits(r, caustic) < FEW_HITS)
     picture = _mean_picture(rivals or sighted or unbiased)
     rows = []
     for m in found:
@@ -200,9 +202,9 @@ def _failed(page: Page, m: Measured, test: _Test, rival: Measured | None, causti
         return f"leaks {test.difference:.1g}"
     if test.p < ALPHA and m.biased:
         return "biased, as it says"
-    if test.p < ALPHA <= test.p_above and (few := counted_hits(m, caustic)) < SIGHT:
+    if test.p < ALPHA <= test.p_above and (few := counted_hits(m, caustic)) < FEW_HITS:
         return _blind(few)
-    if test.p_above < ALPHA and rival is not None and (few := counted_hits(rival, caustic)) < SIGHT:
+    if test.p_above < ALPHA and rival is not None and (few := counted_hits(rival, caustic)) < FEW_HITS:
         return f"not tested: {rival.label} has too few hits ({few:.2g})"
     if test.p < ALPHA:
         return "wrong, as is warned" if any(TOO_FAR in warning for warning in m.warnings) else "WRONG"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from causticmpi.compare.charts import PALETTE
-from causticmpi.compare.statistics import SIGHT
+from causticmpi.compare.statistics import FEW_HITS
 from causticmpi.compare.tables import NOTHING, Table, number
 from causticmpi.output.png import srgb_bytes
 from causticmpi.stability.judge import Row
@@ -45,7 +45,7 @@ def table(name: str, page: Page, rows: Sequence[Row]) -> Table:
         f"{page.batches} batches; biased methods add their squared bias. p: Welch's t-test of the mean and 48 means of "
         "squares, Sidak-corrected; resolution: standard error of the difference of the pictures' means. WRONG: the "
         "test fails. Blind: some mean is too low (or the light is met by chance), none too high, and the picture is "
-        f"made of so few rare hits (their number; below {SIGHT}) that neither its mean nor its error can be believed.",
+        f"made of so few rare hits (their number; below {FEW_HITS}) that neither mean nor error can be believed.",
     )
 
 
