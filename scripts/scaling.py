@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from causticmpi.distributed.launch import launcher_command, launcher_environment
+from causticmpi.render.precision import Precision
 
 ROOT = Path(__file__).resolve().parent.parent
 SLOTS, CHANNELS = 640 * 640, 21
@@ -152,7 +153,6 @@ def measure(folder: Path) -> Constants:
 def film_seconds() -> tuple[float, float, float]:
     """CPU seconds of merging and forgetting a round, of adding a pass with light paths, of an error estimate."""
     from causticmpi.render.film import Film
-    from causticmpi.render.precision import Precision
 
     film, pending, groups = Film(SLOTS, 2.0**-36, light=True), Film(SLOTS, 2.0**-36, light=True), Precision()
     one = np.random.default_rng(1).random((SLOTS, 6)).astype(np.float32)
@@ -207,8 +207,9 @@ def losses(c: Constants, ranks: int, nodes: int, latency: float, bandwidth: floa
     """
     hops = math.ceil(math.log2(nodes))
     pictures = BUDGET / PICTURES_EVERY
-    groups = 4 * math.log2(max(2.0, ranks * BUDGET / c.pass_seconds / 16))
     passes = max(1.0, ranks * ROUND / c.pass_seconds)
+    precision = Precision()
+    groups = sum(precision.due(int(number * passes)) for number in range(1, int(BUDGET / ROUND) + 1))
     shares = 8 * (1 + math.log(min(passes, 8 * ranks))) + max(0.0, passes / ranks - 8) if ranks > 1 else passes
     volume = SLOTS * CHANNELS * 8
     reduction = c.reduce + hops * latency + 2 * volume / bandwidth if nodes > 1 else 0.0
