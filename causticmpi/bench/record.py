@@ -129,7 +129,7 @@ def main(config_file: str, out: str) -> None:
     subject = Subject(config_file)
     subject.path_tracing()
     path_packets, path_kinds = recorder.take()
-    subject.gather(subject.pixels[: len(subject.pixels) // 2 // 16 * 16])
+    subject.gather()
     packets, kinds = recorder.take()
     subject.photons(MOST_PHOTONS)
     parts = recorder.take_all("photons")

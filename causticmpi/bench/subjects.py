@@ -159,13 +159,17 @@ class Subject:
             self._methods[name], _ = prepare_method(SerialWorld(), config, self.scene, self.camera, Stopwatch())
         return self._methods[name]
 
+    def _parts(self, step: int) -> list[np.ndarray]:
+        """One of `step` parts of the picture, spread over it."""
+        return [self.pixels[row : row + PART] for row in range(0, len(self.pixels), step * PART)]
+
     def path_tracing(self) -> tuple[int, float]:
         """One pass of `pt` in every fourth part of the picture."""
         method = self._method("pt")
         assert isinstance(method, PathTracing)
         method.begin_pass(0)
         method.trace(self.pixels[:0], self.film)
-        parts = [self.pixels[row : row + PART] for row in range(0, len(self.pixels), 4 * PART)]
+        parts = self._parts(4)
         rays, seconds = _timed(lambda: sum(method.trace(part, self.film) for part in parts))
         self.path_rates.append(sum(int((part[:, 0] >= 0).sum()) for part in parts) / seconds / 1e6)
         return rays, seconds
@@ -178,12 +182,13 @@ class Subject:
         _, seconds = _timed(lambda: method.trace(self.pixels, film))
         return film[:, :3].astype(np.float64) + film[:, 3:], seconds
 
-    def gather(self, pixels: np.ndarray | None = None) -> tuple[int, float]:
-        """Virtual lights of one pass at the first vertices: shadow rays, and the time without finding the vertices."""
+    def gather(self) -> tuple[int, float]:
+        """Virtual lights of one pass at the first vertices of every fourth part of the picture: shadow rays, and the
+        time without finding the vertices."""
         method = self._method("iws")
         assert isinstance(method, WeakSingularities)
         method.begin_pass(0)
-        pixels = self.pixels if pixels is None else pixels
+        pixels = np.concatenate(self._parts(4))
         common = (self.scene.traced, self.camera, method.work)
         _see_and_gather(*common, pixels[:0], 0, method.lights, 0, method.bound)
 
@@ -201,7 +206,7 @@ class Subject:
         method = self._method(name)
         method.begin_pass(0)
         method.trace(self.pixels[:0], self.film)
-        parts = [self.pixels[row : row + PART] for row in range(0, len(self.pixels), SPARSE * PART)]
+        parts = self._parts(SPARSE)
         return _timed(lambda: sum(method.trace(part, self.film) for part in parts))
 
     def light_paths(self) -> tuple[int, float]:
@@ -217,7 +222,7 @@ class Subject:
         method = self._method("iws")
         method.begin_pass(0)
         common = (self.scene.traced, self.camera, method.work)
-        rows = [self.pixels[row : row + PART] for row in range(0, len(self.pixels), SPARSE * PART)]
+        rows = self._parts(SPARSE)
 
         def see(count: int) -> float:
             run = (0, method.lights, count, method.bound)
