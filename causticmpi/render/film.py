@@ -74,9 +74,9 @@ def _add_light_row(row, sums, quantum):
     return 0 if finite else 1
 
 
-@kernel
-def _accumulate(pass_film, rows, sums, touched, locks, left, quantum):
-    """Add rows (first, end) of the pass film (n, 6) to the sums (n, CHANNELS or more) and blank them.
+@inline
+def _add_blocks(add_row, film, rows, sums, touched, locks, left, quantum):
+    """Add rows (first, end) of a film to the sums (n, CHANNELS or more) by `add_row`, and blank them.
 
     left : (blocks,) bool, which blocks are to be added; blocks that another process holds stay in it. Returns the
     number of non-finite samples.
@@ -86,7 +86,7 @@ def _accumulate(pass_film, rows, sums, touched, locks, left, quantum):
         if not left[block] or not try_to_take(locks, block):
             continue
         for i in range(max(rows[0], block * BLOCK), min(rows[1], (block + 1) * BLOCK)):
-            bad += _add_row(pass_film[i], sums[i], quantum)
+            bad += add_row(film[i], sums[i], quantum)
         touched[block] = True
         give_back(locks, block)
         left[block] = False
@@ -94,18 +94,15 @@ def _accumulate(pass_film, rows, sums, touched, locks, left, quantum):
 
 
 @kernel
+def _accumulate(pass_film, rows, sums, touched, locks, left, quantum):
+    """`_add_blocks` for a pass film (n, 6)."""
+    return _add_blocks(_add_row, pass_film, rows, sums, touched, locks, left, quantum)
+
+
+@kernel
 def _accumulate_light(light_film, rows, sums, touched, locks, left, quantum):
-    """As `_accumulate`, a film of light paths (n, 3)."""
-    bad = 0
-    for block in range(rows[0] // BLOCK, -(-rows[1] // BLOCK)):
-        if not left[block] or not try_to_take(locks, block):
-            continue
-        for i in range(max(rows[0], block * BLOCK), min(rows[1], (block + 1) * BLOCK)):
-            bad += _add_light_row(light_film[i], sums[i], quantum)
-        touched[block] = True
-        give_back(locks, block)
-        left[block] = False
-    return bad
+    """`_add_blocks` for a film of light paths (n, 3)."""
+    return _add_blocks(_add_light_row, light_film, rows, sums, touched, locks, left, quantum)
 
 
 def film_arrays(slots: int, light: bool) -> dict[str, tuple[type, tuple[int, ...]]]:
