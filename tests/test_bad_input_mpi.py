@@ -114,9 +114,9 @@ BAD = {
         lambda folder: (folder / "out").mkdir() or (folder / "out" / "image.exr").touch(),
         ("it holds a run already (image.exr)", "--force"),
     ),
-    "unknown option": Bad(nothing, ("--fast", "--help"), ("--fast",)),
-    "no ranks": Bad(nothing, ("-j: found 0, need at least 1",), ("-j", "0")),
-    "ranks in words": Bad(nothing, ("-j", "'two'", "--help"), ("-j", "two")),
+    "unknown option": Bad(nothing, ('causticmpi render: found "--fast"', "--help"), ("--fast",)),
+    "no ranks": Bad(nothing, ('causticmpi render: -j: found "0"; allowed: an integer >= 1',), ("-j", "0")),
+    "ranks in words": Bad(nothing, ('causticmpi render: -j: found "two"', "--help"), ("-j", "two")),
 }
 UNDER_MPIRUN = ("misspelt key", "mesh with NaN", "unknown option", "output in /proc")
 
@@ -131,7 +131,7 @@ def spoil(bad: Bad, folder: Path) -> list[str]:
 
 def assert_refused(bad: Bad, code: int, err: str, before: dict[str, bytes | None], folder: Path) -> None:
     assert code == 2, err
-    assert err.startswith("causticmpi: ") and err.endswith("\n") and err.count("\n") == 1, err
+    assert err.startswith(("causticmpi: ", "causticmpi render: ")) and err.endswith("\n") and err.count("\n") == 1, err
     assert [piece for piece in bad.pieces if piece not in err] == [], err
     assert tree(folder) == before
 

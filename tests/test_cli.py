@@ -16,6 +16,7 @@ from PIL import Image
 from program_tools import CORNELL, PATIENCE, main, read_layers, read_report, render_here, rgb, run_program, tree, words
 
 from causticmpi import __version__
+from causticmpi.cli.main import build_parser
 from causticmpi.output.report import STAGES
 
 REPORT_KEYS = {
@@ -61,11 +62,31 @@ def test_the_console_script_is_the_same_program(tmp_path: Path) -> None:
     assert done.returncode == 2 and done.stderr.count("\n") == 1
 
 
-@pytest.mark.parametrize("arguments", [[], ["rendre", "x.yaml"], ["render"]])
-def test_a_wrong_command_line_is_one_line(arguments: list[str], capfd: pytest.CaptureFixture[str]) -> None:
-    assert main(arguments) == 2
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("", "causticmpi: found no VERB; allowed: render, check, "),
+        ("--verzion", 'causticmpi: found "--verzion"; allowed: -h, --help, --version; did you mean "--version"? See '),
+        ("rendre x", 'did you mean "render"? See causticmpi --help'),
+        ("render", "causticmpi render: the following arguments are required: CONFIG; see causticmpi render --help"),
+        ("render x --output y", 'causticmpi render: found "--output"; allowed: -h, --help, --set, '),
+        ("render x --output=y", 'did you mean "--out"? See causticmpi render --help'),
+        ("render x --sp 3", 'did you mean "--spp"? See causticmpi render --help'),
+        ("render x y", 'causticmpi render: found "y", one word too many; see causticmpi render --help'),
+        ("compare x --scene first", 'causticmpi compare: --scene: found "first"; allowed: an integer >= 1; see '),
+        ("merge a b", "causticmpi merge: the following arguments are required: -o/--out; see causticmpi merge --help"),
+    ],
+)
+def test_a_wrong_command_line_is_one_line(line: str, told: str, capfd: pytest.CaptureFixture[str]) -> None:
+    assert main(line.split()) == 2
     err = capfd.readouterr().err
-    assert err.startswith("causticmpi: causticmpi") and err.count("\n") == 1 and "--help" in err, err
+    assert told in err and err.startswith("causticmpi") and err.count("\n") == 1 and "--help\n" in err, err
+
+
+@pytest.mark.parametrize("line", ["render x", "check x", "compare x", "inspect x", "merge x y", "bench x"])
+def test_every_verb_that_writes_takes_either_name_of_its_directory(line: str) -> None:
+    for name in ("-o", "--out"):
+        assert build_parser().parse_args([*line.split(), name, "there"]).out == "there"
 
 
 def test_check(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

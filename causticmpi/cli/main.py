@@ -3,7 +3,8 @@
 import argparse
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from typing import Any, NoReturn
 
 from causticmpi import __version__
 from causticmpi.errors import InputError, RunError
@@ -12,9 +13,43 @@ os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # one rank is one thread
 
 
+class UsageError(InputError):
+    """A wrong command line; the message begins with the program and the verb."""
+
+
 class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> None:  # type: ignore[override]
-        raise InputError(f"{self.prog}: {message}; see {self.prog} --help")
+    """Each error is one line that names the verb, what is allowed, and the name that may have been meant."""
+
+    def error(self, message: str) -> NoReturn:
+        end = " See" if message.endswith("?") else "; see"
+        raise UsageError(f"{self.prog}: {message.removeprefix('argument ')}{end} {self.prog} --help")
+
+    def parse_known_args(self, *given: Any) -> tuple[argparse.Namespace, list[str]]:  # type: ignore[override]
+        """As argparse does it, but a verb refuses unknown words itself: the program would not know whose they are."""
+        arguments, unknown = super().parse_known_args(*given)
+        if unknown and unknown[0].startswith("-"):
+            self.error(_found(unknown[0].partition("=")[0], self._option_string_actions))
+        if unknown:
+            self.error(f'found "{unknown[0]}", one word too many')
+        return arguments, unknown
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if action.choices is not None and value not in action.choices:
+            raise argparse.ArgumentError(action, _found(str(value), action.choices))
+
+
+def _found(word: str, allowed: Iterable[str]) -> str:
+    from causticmpi.config.convert import nearest
+
+    names = list(allowed)
+    return f'found "{word}"; allowed: {", ".join(names)}{nearest(word, names)}'
+
+
+def _count(text: str) -> int:
+    """An integer from 1, for argparse."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f'found "{text}"; allowed: an integer >= 1')
+    return int(text)
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -23,56 +58,75 @@ def build_parser() -> argparse.ArgumentParser:
         prog="causticmpi",
         description="Unbiased caustics, rendered in batch on many cores: IWS + Caustic Forecasting and its rivals.",
         epilog="Start it plainly, with -j 2, or under mpirun -n 20. Exit codes: 0 done, 2 bad input, 1 anything else.",
+        allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"causticmpi {__version__}")
-    verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
-    render = verbs.add_parser("render", help="render a picture within a time or sample budget")
-    _common(render)
-    render.add_argument("--method", metavar="M", help="pt, pt-brute, iws, iws+cf or iws+pm (biased)")
-    budget = render.add_mutually_exclusive_group()
-    budget.add_argument("--time", metavar="T", help="wall-clock budget, such as 30s, 4min or 1h")
-    budget.add_argument("--spp", metavar="N", help="samples per pixel")
-    render.add_argument("--until", metavar="E", help="stop before that at this estimated relMSE, such as 1%%")
-    render.add_argument("--out", metavar="DIR", help="output directory")
-    render.add_argument("--seed", metavar="N", help="seed of all random numbers")
-    render.add_argument("-j", dest="ranks", metavar="RANKS", type=int, default=1, help="start this many ranks here")
+    verbs = parser.add_subparsers(dest="verb", metavar="VERB")
+    render = _verb(verbs, "render", "render a picture within a time or sample budget")
+    _input(render)
+    _picture(render)
+    _ranks(render)
     held = render.add_mutually_exclusive_group()
     held.add_argument("--resume", action="store_true", help="go on with the run that DIR holds, or extend it")
     held.add_argument("--force", action="store_true", help="replace the run that DIR holds")
-    check = verbs.add_parser("check", help="validate config and scene, estimate memory and time")
-    _common(check)
-    compare = verbs.add_parser("compare", help="equal-time runs of several methods: tables, charts, one HTML report")
-    _common(compare)
-    compare.add_argument("--out", metavar="DIR", help="output directory")
-    compare.add_argument("-j", dest="ranks", metavar="RANKS", type=int, default=1, help="start this many ranks here")
-    compare.add_argument("--scene", metavar="N", type=int, help="the runs of the Nth scene alone, and no report")
+    check = _verb(verbs, "check", "validate config and scene, estimate memory and time of a render")
+    _input(check)
+    _picture(check)
+    compare = _verb(verbs, "compare", "equal-time runs of several methods: tables, charts, one HTML report")
+    _input(compare)
+    _output(compare, "output directory (default: the config's)")
+    _ranks(compare)
+    compare.add_argument("--scene", metavar="N", type=_count, help="the runs of the Nth scene alone, and no report")
     compare.add_argument("--references", action="store_true", help="make the references that are missing, nothing else")
     compare.add_argument(
         "--show", metavar="DIR", action="append", default=[], help="put the PNGs of this directory into the report"
     )
-    inspect = verbs.add_parser("inspect", help="virtual lights, caustic points and clusters as pictures and numbers")
-    _common(inspect)
-    inspect.add_argument("--out", metavar="DIR", help="directory of the pictures (default: inspect in the output's)")
-    merge = verbs.add_parser("merge", help="put runs of one config with different seeds together into one picture")
-    merge.add_argument("runs", metavar="DIR", nargs="+", help="directories of finished or stopped runs, two or more")
-    merge.add_argument("-o", "--out", metavar="DIR", required=True, help="output directory")
+    inspect = _verb(verbs, "inspect", "virtual lights, caustic points and clusters as pictures and numbers")
+    _input(inspect)
+    _output(inspect, "directory of the pictures (default: inspect in the config's)")
+    merge = _verb(verbs, "merge", "put runs of one config with different seeds together into one picture")
+    merge.add_argument("runs", metavar="RUN", nargs="+", help="directories of finished or stopped runs, two or more")
+    _output(merge, "output directory", required=True)
     merge.add_argument("--force", action="store_true", help="replace the run that the output directory holds")
-    bench = verbs.add_parser("bench", help="this machine: raw Embree rate beside each kernel's rate, on one core")
+    bench = _verb(verbs, "bench", "this machine: raw Embree rate beside each kernel's rate, on one core")
     bench.add_argument(
-        "configs", metavar="CONFIG", nargs="*", default=[f"configs/{name}.yaml" for name in BENCH_SCENES]
+        "configs", metavar="CONFIG", nargs="*", default=BENCH_CONFIGS, help=f"default: {' '.join(BENCH_CONFIGS)}"
     )
-    bench.add_argument("--out", metavar="DIR", help="also write bench.json and bench.md there")
+    _output(bench, "also write bench.json and bench.md there")
     return parser
 
 
-BENCH_SCENES = ("cornell", "ring", "pool")
+BENCH_CONFIGS = [f"configs/{name}.yaml" for name in ("cornell", "ring", "pool")]
 
 
-def _common(verb: argparse.ArgumentParser) -> None:
+def _verb(verbs: Any, name: str, purpose: str) -> argparse.ArgumentParser:
+    verb: argparse.ArgumentParser = verbs.add_parser(name, help=purpose, description=purpose, allow_abbrev=False)
+    return verb
+
+
+def _input(verb: argparse.ArgumentParser) -> None:
     verb.add_argument("config", metavar="CONFIG", help="config file (YAML)")
     verb.add_argument(
         "--set", dest="settings", metavar="KEY.SUB=VALUE", action="append", default=[], help="override a config value"
     )
+
+
+def _picture(verb: argparse.ArgumentParser) -> None:
+    verb.add_argument("--method", metavar="M", help="pt, pt-brute, iws, iws+cf or iws+pm (biased)")
+    budget = verb.add_mutually_exclusive_group()
+    budget.add_argument("--time", metavar="T", help="wall-clock budget, such as 30s, 4min or 1h")
+    budget.add_argument("--spp", metavar="N", help="samples per pixel")
+    verb.add_argument("--until", metavar="E", help="stop before that at this estimated relMSE, such as 1%%")
+    _output(verb, "output directory (default: the config's)")
+    verb.add_argument("--seed", metavar="N", help="seed of all random numbers")
+
+
+def _output(verb: argparse.ArgumentParser, purpose: str, required: bool = False) -> None:
+    verb.add_argument("-o", "--out", metavar="DIR", required=required, help=purpose)
+
+
+def _ranks(verb: argparse.ArgumentParser) -> None:
+    verb.add_argument("-j", dest="ranks", metavar="RANKS", type=_count, default=1, help="start this many ranks here")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -88,7 +142,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(argv: list[str]) -> int:
     try:
-        arguments = build_parser().parse_args(argv)
+        parser = build_parser()
+        arguments = parser.parse_args(argv)
+        if arguments.verb is None:
+            parser.error("found no VERB; allowed: render, check, compare, inspect, merge, bench")
         if arguments.verb == "check":
             from causticmpi.cli.check import check
 
@@ -124,5 +181,5 @@ def report_input_error(error: InputError) -> int:
     from causticmpi.distributed.environment import launcher_rank
 
     if launcher_rank() == 0:
-        print(f"causticmpi: {error}", file=sys.stderr, flush=True)
+        print(error if isinstance(error, UsageError) else f"causticmpi: {error}", file=sys.stderr, flush=True)
     return 2
