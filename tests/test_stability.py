@@ -12,16 +12,18 @@ from rendering import REPOSITORY
 
 from causticmpi.errors import InputError
 from causticmpi.scene.load import load_scene
-from causticmpi.stability import seeds, sweep, verdicts
+from causticmpi.stability import seeds, show, sweep, verdicts
 from causticmpi.stability.cell import Measured
-from causticmpi.stability.judge import Row, hits, judge
+from causticmpi.stability.judge import hits, judge
 from causticmpi.stability.lies import LIES
 from causticmpi.stability.records import Claim, Page
+from causticmpi.stability.row import FINE, Kind, Row, Verdict
 from causticmpi.stability.run import main, read_pages
 from causticmpi.stability.scenes import TEMPLATES, build, write_scene
 
 PAGES = sorted((REPOSITORY / "configs" / "stability").glob("*.yaml"))
 BATCHES = 16
+BLIND = Verdict(Kind.BLIND, "blind: too few hits to judge (3)")
 
 
 def page(**more: object) -> Page:
@@ -46,7 +48,7 @@ def measured_pictures(label: str, method: str, pictures: np.ndarray, **more: obj
         "label": label, "method": method, "biased": False, "passes": BATCHES, "seconds": 1.0, "preprocess": 0.0,
         "rays": 1000, "slowest": 1.0, "memory_mb": 100.0, "nonfinite": 0, "rgb": pictures.mean(axis=0),
         "variance": pictures.var(axis=0, ddof=1) / BATCHES, "blocks": blocks, "caustic": 0.1, "brightest": 0.5,
-        "radius": 0.1, "bound": 1.0, "by_chance": method == "pt",
+        "radius": 0.1, "bound": 1.0, "seed": 7, "by_chance": method == "pt",
     }  # fmt: skip
     return Measured(**{**plain, **more})
 
@@ -54,8 +56,8 @@ def measured_pictures(label: str, method: str, pictures: np.ndarray, **more: obj
 def test_a_wrong_mean_is_found_and_a_right_one_is_not() -> None:
     rivals = [measured("rival", "pt", seed=9)]
     right, wrong = (judge(page(), 1.0, 1.0, [measured("cf", "iws+cf", mean)], rivals, 0.1)[0] for mean in (1.0, 1.03))
-    assert right.verdict == "" and right.p > 1e-3 and right.against == "rival"
-    assert wrong.verdict == "WRONG" and wrong.difference == pytest.approx(0.03, abs=0.01)
+    assert right.verdict == FINE and right.seed == 7 and right.p > 1e-3 and right.against == "rival"
+    assert wrong.verdict == (Kind.WRONG, "WRONG") and wrong.difference == pytest.approx(0.03, abs=0.01)
 
 
 def lit_by_hits(count: float, mean: float = 1.0) -> Measured:
@@ -68,7 +70,7 @@ def lit_by_hits(count: float, mean: float = 1.0) -> Measured:
 
 def test_too_dark_with_few_hits_is_blind_and_with_many_or_too_bright_is_wrong() -> None:
     def verdict(found: Measured) -> str:
-        return judge(page(), 1.0, 1.0, [found], [measured("rival", "iws+cf", noise=1e-3, seed=9)], 0.1)[0].verdict
+        return judge(page(), 1.0, 1.0, [found], [measured("rival", "iws+cf", noise=1e-3, seed=9)], 0.1)[0].verdict.words
 
     assert re.fullmatch(r"blind: too few hits to judge \(\d+\)", verdict(lit_by_hits(20)))
     assert verdict(lit_by_hits(20, mean=1e3)) == "WRONG"
@@ -84,13 +86,13 @@ def test_too_dark_with_few_hits_is_blind_and_with_many_or_too_bright_is_wrong() 
 def test_no_one_is_too_bright_beside_a_blind_rival() -> None:
     dark = replace(lit_by_hits(5, mean=0.5), label="rival")
     (row,) = judge(page(), 1.0, 1.0, [measured("cf", "iws+cf", 100.0)], [dark], 0.1)
-    assert row.verdict.startswith("not tested: rival has too few hits") and not row.tested
+    assert row.verdict.words.startswith("not tested: rival has too few hits") and not row.tested
     (row,) = judge(page(), 1.0, 1.0, [measured("cf", "iws+cf", 100.0)], [dark, measured("seer", "iws+cf", seed=9)], 0.1)
-    assert row.verdict == "WRONG" and row.against == "seer"
+    assert row.kind is Kind.WRONG and row.against == "seer"
 
 
 def test_blind_cells_are_named_and_not_counted_as_tested() -> None:
-    rows = [row(1.0, "pt", 1.0), row(1.0, "cf", 1.0), row(0.1, "pt", 1.0, verdict="blind: too few hits to judge (3)")]
+    rows = [row(1.0, "pt", 1.0), row(1.0, "cf", 1.0), row(0.1, "pt", 1.0, verdict=BLIND)]
     said = verdicts.unbiasedness(rows)
     assert "in 2 of 2 tested cells" in said and "too few hits to judge pt at 0.1." in said and "WRONG" not in said
 
@@ -108,9 +110,9 @@ def test_error_at_equal_time_counts_tracing_preprocess_and_bias() -> None:
     (late,) = judge(made, 1.0, 1.0, [measured("cf", "iws+cf", preprocess=5.0)], rival, 0.1)
     assert late.relmse == pytest.approx(2 * plain.relmse)
     (never,) = judge(made, 1.0, 1.0, [measured("cf", "iws+cf", preprocess=11.0)], rival, 0.1)
-    assert never.relmse == math.inf and "preprocess exceeds" in never.verdict
+    assert never.relmse == math.inf and never.verdict == (Kind.LATE, "preprocess exceeds 10 s")
     (biased,) = judge(made, 1.0, 1.0, [measured("pm", "iws+pm", mean=1.1, biased=True)], rival, 0.1)
-    assert biased.verdict == "biased, as it says" and biased.bias == pytest.approx(0.01 / 1.01, rel=0.1)
+    assert biased.verdict == (Kind.BIASED, "biased, as it says") and biased.bias == pytest.approx(0.01 / 1.01, rel=0.1)
     assert biased.relmse > biased.bias
 
 
@@ -120,24 +122,24 @@ def test_who_never_meets_the_light_is_not_believed() -> None:
     rows = judge(
         page(), 1.0, 1.0, [blind, measured("cf", "iws+cf", noise=0.3)], [measured("rival", "pt", brightest=1e6)], 0.1
     )
-    assert rows[0].verdict.startswith("blind") and not rows[0].trusted
-    assert rows[1].verdict == "not tested: no rival sees enough"  # nor does it lose to a blind one
+    assert rows[0].kind is Kind.BLIND and not rows[0].trusted
+    assert rows[1].verdict == (Kind.UNTESTED, "not tested: no rival sees enough")  # nor does it lose to a blind one
     missing = measured("cf", "iws+cf", caustic=0.01)
     (row,) = judge(page(constant_caustics=True), 1.0, 1.0, [missing], [measured("rival", "pt")], 0.1)
-    assert row.verdict == "misses 90 % of the caustics"
+    assert row.verdict == (Kind.MISSES, "misses 90 % of the caustics") and not row.trusted
 
 
 def test_losing_to_plain_sampling_is_named() -> None:
     found = [measured("pt", "pt"), measured("cf", "iws+cf", noise=0.2, seed=2)]
     rows = judge(page(), 1.0, 1.0, found, [measured("rival", "pt", seed=9)], 0.1)
-    assert rows[1].verdict.startswith("loses to pt: error x 3") or rows[1].verdict.startswith("loses to pt: error x 4")
+    assert rows[1].kind is Kind.LOSES and re.match("loses to pt: error x [34]", rows[1].verdict.words)
 
 
 def test_light_where_none_can_be_has_leaked() -> None:
     made = page(truth={"exact": 0.0})
     dark, lit = measured("cf", "iws+cf", 0.0, 0.0), measured("cf", "iws+cf", 2e-4, 0.0)
-    assert judge(made, 1.0, 1.0, [dark], [], 0.0)[0].verdict == ""
-    assert judge(made, 1.0, 1.0, [lit], [], 0.0)[0].verdict == "leaks 0.0002"
+    assert judge(made, 1.0, 1.0, [dark], [], 0.0)[0].verdict == FINE
+    assert judge(made, 1.0, 1.0, [lit], [], 0.0)[0].verdict == (Kind.LEAKS, "leaks 0.0002")
 
 
 def row(value: float, label: str, relmse: float, **more: object) -> Row:
@@ -154,7 +156,7 @@ def test_verdicts_follow_the_figures() -> None:
     said = _said(page(), rows)
     assert "cf is x 20 as efficient as pt at light 0.1 and x 0.1 at light 1" in said
     assert "Unbiased within noise in 4 of 4 tested cells" in said
-    rows[3] = row(0.1, "cf", 0.05, verdict="WRONG")
+    rows[3] = row(0.1, "cf", 0.05, verdict=Verdict(Kind.WRONG, "WRONG"))
     assert "in 3 of 4 tested cells" in _said(page(), rows) and "WRONG in cf at 0.1" in _said(page(), rows)
     assert verdicts.failures(rows) == ["cf at 0.1: WRONG"]
     made = page(reads="setting", sweep={"parameter": "iws.paths", "name": "paths", "values": [1.0, 8.0], "start": 8.0})
@@ -165,7 +167,7 @@ def test_verdicts_follow_the_figures() -> None:
 def test_the_claim_over_seeds_holds_fails_or_is_open() -> None:
     claim = Claim(of="cf", fixed=["pt", "two"])
 
-    def turns(gains: list[float], verdict: str = "") -> list[list[Row]]:
+    def turns(gains: list[float], verdict: Verdict = FINE) -> list[list[Row]]:
         return [
             [row(0.1, "pt", g * e), row(0.1, "cf", e, fireflies=1.2, verdict=verdict), row(0.1, "two", 0.99 * g * e)]
             for g, e in zip(gains, (1.0, 2.0, 0.5, 1.0), strict=True)
@@ -179,12 +181,34 @@ def test_the_claim_over_seeds_holds_fails_or_is_open() -> None:
     assert bad.plain.verdict == "FAILS" == bad.best.verdict and bad.plain.below == 4
     (unsure,) = seeds.cells(made, claim, turns([0.5, 1.5, 1.0, 1.2]))
     assert unsure.plain.verdict == "open" and unsure.plain.below == 1
-    (blind,) = seeds.cells(made, claim, turns([1.0, 1.0, 1.0, 1.0], "blind: too few hits to judge (3)"))
+    (blind,) = seeds.cells(made, claim, turns([1.0, 1.0, 1.0, 1.0], BLIND))
     assert blind.plain.verdict == "blind"
-    said = seeds.said(made, claim, turns([0.8, 0.82, 0.79, 0.81]))
+    said = seeds.said(made, claim, seeds.cells(made, claim, turns([0.8, 0.82, 0.79, 0.81])), 4)
     assert "at least 0.95 as efficient as pt in 0 of 1 cells, FAILS at 0.1 (x 0.805, 4 of 4 seeds below)" in said
-    mean = seeds.pooled(turns([1.0, 1.0, 1.0, 1.0]))[1]
-    assert mean.relmse == pytest.approx(4.5 / 4)
+
+
+def test_of_several_seeds_the_worst_is_shown_with_its_own_figures() -> None:
+    wrong, lost = Verdict(Kind.WRONG, "WRONG"), Verdict(Kind.LOSES, "loses to pt: error x 2")
+    turns = [
+        [row(0.1, "pt", 1.0, seed=1, p=0.5), row(0.1, "cf", 2.0, seed=2, p=0.6, verdict=lost)],
+        [row(0.1, "pt", 2.0, seed=2001, p=0.7, verdict=BLIND), row(0.1, "cf", 1.0, seed=2002, p=1e-9, verdict=wrong)],
+        [row(0.1, "pt", 3.0, seed=4001, p=0.8), row(0.1, "cf", 9.0, seed=4002, p=0.9, verdict=lost)],
+    ]
+    plain, cf = seeds.pooled(page(), turns)
+    assert (plain.verdict, plain.seed, plain.p, plain.relmse) == (BLIND, 2001, 0.7, 2.0)
+    assert (cf.verdict, cf.seed, cf.p, cf.relmse) == (wrong, 2002, 1e-9, 4.0)
+    assert dict(zip(*_table([plain, cf]), strict=True))["seed"] == "2002"
+    every = [row for turn in turns for row in turn]
+    assert verdicts.failures(every) == ["cf at 0.1: WRONG (3 seeds)", "pt at 0.1: " + BLIND.words]
+    # One that lost in one seed alone has not lost if its mean error is no larger than the baseline's.
+    assert seeds.pooled(page(), [[turns[0][0], turns[0][1]], [turns[2][0], row(0.1, "cf", 1.0)]])[1].verdict == FINE
+    assert seeds.pooled(page(), [turns[0], turns[2]])[1].verdict == (Kind.LOSES, "loses to pt: error x 2.8")
+
+
+def _table(rows: list[Row]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Its columns and its last row."""
+    made = show.table("t", page(), rows)
+    return made.columns, made.rows[-1]
 
 
 @pytest.mark.parametrize("template", TEMPLATES)

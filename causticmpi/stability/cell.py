@@ -40,7 +40,7 @@ class Measured:
 
     blocks (batches, k): means of squares of the film; caustic: mean luminance of L_c; seconds: CPU time of tracing,
     `preprocess` apart; slowest: the longest pass over the mean one; brightest: largest radiance of a light;
-    radius: the search radius used (nan: none); bound: what `auto` means for b; by_chance: whether it meets lights
+    radius: the search radius used (nan: none); seed: of its config; bound: what `auto` means for b; by_chance: whether it meets lights
     behind specular surfaces by chance alone; warnings: that a run would give beforehand.
     """
 
@@ -61,6 +61,7 @@ class Measured:
     brightest: float
     radius: float
     bound: float
+    seed: int
     by_chance: bool = False
     warnings: tuple[str, ...] = ()
 
@@ -216,6 +217,7 @@ def measure(bench: Bench, label: str, passes: int, batches: int) -> Measured:
         brightest=bench.scene.brightest,
         radius=float(getattr(bench.maps, "radius", float("nan"))),
         bound=automatic_bound(bench.scene.extent),
+        seed=bench.config.seed,
         by_chance=bench.config.method in BY_CHANCE or _without_photons(bench.config),
         warnings=of_scene(bench.config, bench.scene.data),
     )

@@ -12,6 +12,7 @@ from causticmpi.output.picture import RELMSE_FLOOR
 from causticmpi.render.foresight import TOO_FAR
 from causticmpi.stability.cell import Measured
 from causticmpi.stability.records import Page, Value
+from causticmpi.stability.row import FINE, Kind, Row, Verdict
 
 ALPHA = 1e-4
 """Significance of a cell's test, all its means together: a report of some 500 cells has a false alarm in 1 of 20."""
@@ -25,65 +26,6 @@ TRIMMED = 1e-3
 """Share of the pixels, the worst, that a trimmed error leaves out."""
 LOSS = 1.05
 """A contender whose error is this many times the baseline's has lost to it."""
-
-
-@dataclass(frozen=True)
-class Row:
-    """One contender in one cell. value: of the parameter; x: its place in the chart, nan for one without a number.
-
-    relmse: at the page's equal time, the bias of biased methods included; share: of the squared error that the worst
-    pixel holds; fireflies: the error over that without the worst pixels; bias: squared, relative, nan for unbiased
-    ones; p, z: of the test against the truth (nan: not tested); whole: z of the picture's mean; difference: relative,
-    of the means; resolution: standard error of that difference; rays: per sample; caustic: mean luminance of L_c;
-    signed (H, W): smoothed relative error of biased ones; warnings: given beforehand; verdict: what failed, empty if
-    nothing did.
-    """
-
-    value: Value
-    x: float
-    label: str
-    biased: bool
-    relmse: float = math.nan
-    share: float = math.nan
-    fireflies: float = math.nan
-    bias: float = math.nan
-    p: float = math.nan
-    z: float = math.nan
-    whole: float = math.nan
-    difference: float = math.nan
-    resolution: float = math.nan
-    passes: int = 0
-    pass_seconds: float = math.nan
-    preprocess: float = math.nan
-    rays: float = math.nan
-    slowest: float = math.nan
-    memory_mb: float = math.nan
-    caustic: float = math.nan
-    verdict: str = ""
-    against: str = ""
-    warnings: tuple[str, ...] = ()
-    rgb: np.ndarray | None = None
-    signed: np.ndarray | None = None
-
-    @property
-    def trusted(self) -> bool:
-        """Whether its error is to be believed: not where the light came too rarely to be met."""
-        return not self.verdict.startswith(("blind", "misses"))
-
-    @property
-    def tested(self) -> bool:
-        """Whether its mean was held against the truth, and the test is worth something."""
-        return math.isfinite(self.p) and not self.verdict.startswith(("blind", "not tested"))
-
-    @property
-    def blind(self) -> bool:
-        """Whether it met so little light that nothing can be said of its mean, unless that is too high."""
-        return self.verdict.startswith("blind")
-
-
-def refused(value: Value, x: float, label: str, why: str) -> Row:
-    """A cell that has no picture."""
-    return Row(value, x, label, False, verdict=why)
 
 
 def hits(measured: Measured, caustic: float) -> float:
@@ -111,8 +53,8 @@ def counted_hits(measured: Measured, caustic: float) -> float:
     return min(shown, hits(measured, caustic)) if by_chance and caustic > 0 else shown
 
 
-def _blind(found: float) -> str:
-    return f"blind: too few hits to judge ({found:.2g})"
+def _blind(found: float) -> Verdict:
+    return Verdict(Kind.BLIND, f"blind: too few hits to judge ({found:.2g})")
 
 
 def seen_caustic(measured: Sequence[Measured]) -> float:
@@ -135,8 +77,7 @@ def judge(
     for m in found:
         rival = next((r for r in rivals if r.label != m.label), None)
         rows.append(_row(page, value, x, m, picture, rival, caustic))
-    base = next((row for row in rows if row.label == page.baseline), None)
-    return [_with_loss(row, base) for row in rows]
+    return with_losses(rows, page.baseline)
 
 
 def _mean_picture(measured: Sequence[Measured]) -> np.ndarray:
@@ -167,9 +108,9 @@ def _row(
     else:
         test, against = _Test(), ""
     return Row(
-        value=value, x=x, label=m.label, biased=m.biased, relmse=relmse + max(0.0, bias if m.biased else 0.0),
+        value=value, x=x, label=m.label, biased=m.biased, seed=m.seed, relmse=relmse + max(0.0, bias if m.biased else 0.0),
         share=float(own.max() / max(own.sum(), 1e-300)), fireflies=_fireflies(own), bias=bias,
-        p=test.p, z=test.z, whole=test.whole, difference=test.difference,
+        p=test.p, whole=test.whole, difference=test.difference,
         resolution=test.resolution, passes=m.passes, pass_seconds=m.pass_seconds,
         preprocess=m.preprocess, rays=m.rays / m.samples, slowest=m.slowest, memory_mb=m.memory_mb, caustic=m.caustic,
         verdict=_failed(page, m, test, rival, caustic), against=against, rgb=m.rgb.astype(np.float32), signed=signed,
@@ -188,33 +129,35 @@ class _Test:
 
     p: float = math.nan
     p_above: float = math.nan
-    z: float = math.nan
     difference: float = math.nan
     whole: float = math.nan
     resolution: float = math.nan
 
 
-def _failed(page: Page, m: Measured, test: _Test, rival: Measured | None, caustic: float) -> str:
-    """What failed, empty if nothing did. rival: whom it was held against, None: a known radiance, or nobody."""
+def _failed(page: Page, m: Measured, test: _Test, rival: Measured | None, caustic: float) -> Verdict:
+    """What failed. rival: whom it was held against, None: a known radiance, or nobody."""
     if m.nonfinite:
-        return f"{m.nonfinite} non-finite samples"
+        return Verdict(Kind.NONFINITE, f"{m.nonfinite} non-finite samples")
     if page.truth.exact == 0 and test.difference > 0:
-        return f"leaks {test.difference:.1g}"
+        return Verdict(Kind.LEAKS, f"leaks {test.difference:.1g}")
     if test.p < ALPHA and m.biased:
-        return "biased, as it says"
+        return Verdict(Kind.BIASED, "biased, as it says")
     if test.p < ALPHA <= test.p_above and (few := counted_hits(m, caustic)) < FEW_HITS:
         return _blind(few)
     if test.p_above < ALPHA and rival is not None and (few := counted_hits(rival, caustic)) < FEW_HITS:
-        return f"not tested: {rival.label} has too few hits ({few:.2g})"
+        return Verdict(Kind.UNTESTED, f"not tested: {rival.label} has too few hits ({few:.2g})")
     if test.p < ALPHA:
-        return "wrong, as is warned" if any(TOO_FAR in warning for warning in m.warnings) else "WRONG"
+        warned = any(TOO_FAR in warning for warning in m.warnings)
+        return Verdict(Kind.WARNED, "wrong, as is warned") if warned else Verdict(Kind.WRONG, "WRONG")
     if page.constant_caustics and misses(m, caustic):
-        return f"misses {100 * (1 - m.caustic / caustic):.0f} % of the caustics"
+        return Verdict(Kind.MISSES, f"misses {100 * (1 - m.caustic / caustic):.0f} % of the caustics")
     if not sees(m, caustic):
         return _blind(hits(m, caustic))
     if not math.isfinite(test.p) and page.truth.rivals:
-        return "not tested: no rival sees enough"
-    return f"preprocess exceeds {page.equal_time:g} s" if m.preprocess >= page.equal_time else ""
+        return Verdict(Kind.UNTESTED, "not tested: no rival sees enough")
+    if m.preprocess >= page.equal_time:
+        return Verdict(Kind.LATE, f"preprocess exceeds {page.equal_time:g} s")
+    return FINE
 
 
 def _against(found: np.ndarray, truth: np.ndarray) -> _Test:
@@ -227,10 +170,17 @@ def _against(found: np.ndarray, truth: np.ndarray) -> _Test:
         whole = difference / deviation
     else:
         whole = 0.0 if difference == 0 else math.inf
-    return _Test(verdict.p, verdict.p_above, verdict.z, difference / scale, whole, deviation / scale)
+    return _Test(verdict.p, verdict.p_above, difference / scale, whole, deviation / scale)
 
 
-def _with_loss(row: Row, base: Row | None) -> Row:
-    if base is None or base.verdict or row.label == base.label or row.verdict or not row.relmse > LOSS * base.relmse:
+def with_losses(rows: Sequence[Row], baseline: str | None) -> list[Row]:
+    """The rows of one cell, those that are fine but for a larger error than the baseline's named so."""
+    base = next((row for row in rows if row.label == baseline and row.kind is Kind.FINE), None)
+    return [*rows] if base is None else [_with_loss(row, base) for row in rows]
+
+
+def _with_loss(row: Row, base: Row) -> Row:
+    if row is base or row.kind is not Kind.FINE or not row.relmse > LOSS * base.relmse:
         return row
-    return replace(row, verdict=f"loses to {base.label}: error x {row.relmse / base.relmse:.2g}")
+    words = f"loses to {base.label}: error x {row.relmse / base.relmse:.2g}"
+    return replace(row, verdict=Verdict(Kind.LOSES, words))

@@ -20,6 +20,7 @@ from causticmpi.output.directory import write_whole
 from causticmpi.output.progress import clock
 from causticmpi.stability import runs, seeds, show, show_runs, sweep, verdicts
 from causticmpi.stability.records import Page
+from causticmpi.stability.row import Kind
 
 REPORT, TABLES = "report.html", "tables.md"
 SUMMARY = "Verdicts"
@@ -102,17 +103,18 @@ def _section(loaded: Loaded, results: dict[str, Any], turns: int) -> tuple[Secti
     rivals = results.pop("rivals", [])
     by_seed = sweep.rows_by_seed(made, list(results.values()), rivals, turns)
     every = [row for rows in by_seed for row in rows]
-    rows = seeds.pooled(by_seed)
+    rows = seeds.pooled(made, by_seed)
     failing = verdicts.failures(every)
-    wrong = [row for row in every if row.verdict == "WRONG"]
+    wrong = [row for row in every if row.kind is Kind.WRONG]
+    cells = [] if made.claim is None else seeds.cells(made, made.claim, by_seed)
     found = f"{verdicts.verdict(made, rows)} {verdicts.unbiasedness(every)}".strip()
     if made.claim is not None and turns > 1:
-        found = f"{seeds.said(made, made.claim, by_seed)} {found}"
+        found = f"{seeds.said(made, made.claim, cells, turns)} {found}"
     paragraphs = [made.question, found]
     paragraphs += ["Cells that fail: " + "; ".join(failing) + "."] if failing else []
     caption = f"{made.title}. Below: pictures of {show.shown_in_pictures(made)} by {made.sweep.name}."
     content = [Image(name, charts.as_png(show.chart(made, rows)), caption)]
-    content += [seeds.table(name, made, made.claim, by_seed)] if made.claim is not None else []
+    content += [seeds.table(name, made, made.claim, cells, turns)] if made.claim is not None else []
     content.append(show.table(name, made, rows))
     alarm = f"{len(wrong)} cells are wrong." if wrong else ""
     return Section(made.title, paragraphs, content, alarm), len(wrong)

@@ -7,13 +7,15 @@ photons, its own pilot, its own paths; ratios are formed within a seed.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 
 import numpy as np
 
 from causticmpi.compare.statistics import interval
 from causticmpi.compare.tables import Table, number
-from causticmpi.stability.judge import Row
+from causticmpi.stability.judge import with_losses
 from causticmpi.stability.records import Claim, Page
+from causticmpi.stability.row import FINE, Kind, Row
 from causticmpi.stability.verdicts import shown
 
 ENOUGH = 0.95
@@ -56,17 +58,18 @@ class Ratio:
         return "holds" if low >= self.wanted else "FAILS" if high < self.wanted else "open"
 
 
-def pooled(turns: Sequence[Turn]) -> list[Row]:
-    """One row for each cell: the first seed's, with the mean error and the worst verdict of all."""
-    return [_pooled([turn[i] for turn in turns]) for i in range(len(turns[0]))]
+def pooled(page: Page, turns: Sequence[Turn]) -> list[Row]:
+    """One row for each cell: that of the seed with the worst verdict, the first of equals, but for the error, which is
+    the mean over seeds. Whether it loses to the baseline goes by that mean.
+    """
+    rows = [_pooled([turn[i] for turn in turns]) for i in range(len(turns[0]))]
+    return [row for _, cell in groupby(rows, key=lambda row: row.value) for row in with_losses([*cell], page.baseline)]
 
 
 def _pooled(rows: Sequence[Row]) -> Row:
-    def gravity(row: Row) -> int:
-        return 2 if row.verdict == "WRONG" else int(row.blind)
-
-    worst = max(rows, key=gravity)  # the first of equals
-    return replace(rows[0], relmse=float(np.mean([row.relmse for row in rows])), verdict=worst.verdict)
+    unjudged = [replace(row, verdict=FINE) if row.kind is Kind.LOSES else row for row in rows]
+    worst = max(unjudged, key=lambda row: row.kind)
+    return replace(worst, relmse=float(np.mean([row.relmse for row in rows])))
 
 
 def ratio(over: Sequence[Row], of: Sequence[Row], wanted: float) -> Ratio:
@@ -127,12 +130,12 @@ def cells(page: Page, claim: Claim, turns: Sequence[Turn]) -> list[Cell]:
     return made
 
 
-def table(name: str, page: Page, claim: Claim, turns: Sequence[Turn]) -> Table:
-    """The claim in every cell."""
+def table(name: str, page: Page, claim: Claim, found: Sequence[Cell], seeds: int) -> Table:
+    """The claim in every cell. seeds: how many."""
     assert page.sweep is not None
     rows = [
         (cell.value, *_figures(cell.plain), cell.best.over, *_figures(cell.best), number(cell.fireflies))
-        for cell in cells(page, claim, turns)
+        for cell in found
     ]
     columns = (
         page.sweep.name, f"efficiency / {page.baseline}", f"below {ENOUGH}", "of mean errors", "trimmed", "claim",
@@ -141,7 +144,7 @@ def table(name: str, page: Page, claim: Claim, turns: Sequence[Turn]) -> Table:
     )  # fmt: skip
     return Table(
         f"{name}-seeds",
-        f"{page.title}: {claim.of} over {len(turns)} seeds",
+        f"{page.title}: {claim.of} over {seeds} seeds",
         columns,
         tuple(rows),
         f"Efficiency: the other's relMSE at {page.equal_time:g} CPU seconds over that of {claim.of}, within each seed; "
@@ -160,9 +163,8 @@ def _figures(found: Ratio) -> tuple[str, str, str, str, str]:
     return mean, below, number(found.of_means), number(found.trimmed), found.verdict
 
 
-def said(page: Page, claim: Claim, turns: Sequence[Turn]) -> str:
-    """One sentence: where the claim holds, is open or fails."""
-    found = cells(page, claim, turns)
+def said(page: Page, claim: Claim, found: Sequence[Cell], seeds: int) -> str:
+    """One sentence: where the claim holds, is open or fails. seeds: how many."""
     parts = []
     for name, wanted, ratios in (
         (str(page.baseline), ENOUGH, [(cell.value, cell.plain) for cell in found]),
@@ -178,4 +180,4 @@ def said(page: Page, claim: Claim, turns: Sequence[Turn]) -> str:
             ]
             text += f", {verdict} at {', '.join(named)}" if named else ""
         parts.append(text)
-    return f"Over {len(turns)} seeds {'; '.join(parts)}."
+    return f"Over {seeds} seeds {'; '.join(parts)}."

@@ -10,8 +10,8 @@ from causticmpi.compare.charts import PALETTE
 from causticmpi.compare.statistics import FEW_HITS
 from causticmpi.compare.tables import NOTHING, Table, number
 from causticmpi.output.png import srgb_bytes
-from causticmpi.stability.judge import Row
 from causticmpi.stability.records import Page
+from causticmpi.stability.row import Kind, Row
 from causticmpi.stability.verdicts import shown
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ def table(name: str, page: Page, rows: Sequence[Row]) -> Table:
     columns = (
         page.sweep.name, "method", f"relMSE at {page.equal_time:g} s", "bias² (relative)", "passes", "ms / pass",
         "rays / sample", "mean L_c", "preprocess [s]", "slowest / mean pass", "memory [MB]", "worst pixel's share",
-        "tested against", "p", "z of mean", "difference", "resolution", "verdict", "warned beforehand",
+        "tested against", "p", "z of mean", "difference", "resolution", "verdict", "seed", "warned beforehand",
     )  # fmt: skip
     return Table(
         name,
@@ -45,7 +45,8 @@ def table(name: str, page: Page, rows: Sequence[Row]) -> Table:
         f"{page.batches} batches; biased methods add their squared bias. p: Welch's t-test of the mean and 48 means of "
         "squares, Sidak-corrected; resolution: standard error of the difference of the pictures' means. WRONG: the "
         "test fails. Blind: some mean is too low (or the light is met by chance), none too high, and the picture is "
-        f"made of so few rare hits (their number; below {FEW_HITS}) that neither mean nor error can be believed.",
+        f"made of so few rare hits (their number; below {FEW_HITS}) that neither mean nor error can be believed. Of several seeds: relMSE is "
+        "the mean over all, the rest is of the seed named, that of the worst verdict.",
     )
 
 
@@ -57,7 +58,8 @@ def _cells(row: Row) -> tuple[str, ...]:
         number(1e3 * row.pass_seconds), number(row.rays), number(row.caustic), number(row.preprocess, 2),
         number(row.slowest, 2), number(row.memory_mb), _percent(row.share), row.against or NOTHING, number(row.p, 2),
         f"{row.whole:+.2f}" if math.isfinite(row.whole) else NOTHING, _percent(row.difference, "+"),
-        _percent(row.resolution), row.verdict[:LONGEST], "; ".join(row.warnings)[:LONGEST],
+        _percent(row.resolution), row.verdict.words[:LONGEST],
+        NOTHING if row.seed is None else str(row.seed), "; ".join(row.warnings)[:LONGEST],
     )  # fmt: skip
 
 
@@ -152,7 +154,7 @@ def _curves(
     moved = deviation.transData + ScaledTranslation(aside / 72, 0, deviation.figure.dpi_scale_trans)
     for row in rows:
         meaning, marker, face, size = _mark(row, colour)
-        z = float(np.clip(row.whole, -FAR, FAR)) if row.tested or row.blind and math.isfinite(row.whole) else -FAR
+        z = float(np.clip(row.whole, -FAR, FAR)) if row.tested or row.kind is Kind.BLIND and math.isfinite(row.whole) else -FAR
         deviation.plot(
             place[shown(row.value)], z, marker, color=colour, markerfacecolor=face, markersize=size, label=meaning,
             transform=moved,
@@ -161,11 +163,11 @@ def _curves(
 
 def _mark(row: Row, colour: str) -> tuple[str | None, str, str, float]:
     """Name in the legend, shape, face and size of a mark of z."""
-    if row.blind:
+    if row.kind is Kind.BLIND:
         return "too few hits to judge", "o", "none", 5
     if not row.tested:
         return "not tested", "|", colour, 9
-    if row.verdict.lower().startswith(("wrong", "leaks")):
+    if row.off:
         return "wrong", "X", colour, 9
     return None, "o", colour, 5
 
@@ -186,7 +188,7 @@ def _strip(figure: "SubFigure", page: Page, rows: Sequence[Row]) -> None:
         cell.set(xticks=[], yticks=[])
         cell.set_title(shown(row.value), fontsize=9)
         if row.rgb is None:
-            cell.text(0.5, 0.5, row.verdict.partition(":")[0], ha="center", va="center", fontsize=8, wrap=True)
+            cell.text(0.5, 0.5, "refused", ha="center", va="center", fontsize=8, wrap=True)
         elif row.signed is not None:
             cell.imshow(row.signed, vmin=-0.5, vmax=0.5, cmap="RdBu_r", interpolation="nearest")
         else:

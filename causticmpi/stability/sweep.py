@@ -12,9 +12,10 @@ import numpy as np
 from causticmpi.errors import InputError
 from causticmpi.scene.load import load_scene
 from causticmpi.stability.cell import Measured, config_for, measure, passes_within, set_up
-from causticmpi.stability.judge import Row, judge, refused, seen_caustic
+from causticmpi.stability.judge import judge, seen_caustic
 from causticmpi.stability.lies import LIES
 from causticmpi.stability.records import Page, Sweep, Value
+from causticmpi.stability.row import Row, refused
 from causticmpi.stability.scenes import build, write_scene
 
 RIVAL_SECONDS, COMMON_RIVAL_SECONDS = 2.0, 8.0
@@ -115,12 +116,12 @@ def _rows(page: Page, point: Point, rivals: Sequence[Measured], caustic: float) 
     assert page.sweep is not None
     value = page.sweep.values[point.index]
     if point.refusal:
-        return [refused(value, position(value), c.label, f"refused: {point.refusal}") for c in page.contenders]
+        return [refused(value, position(value), c.label, point.refusal) for c in page.contenders]
     x = position(value)
     if value == "auto" and point.found:
         x = point.found[0].bound if page.sweep.parameter == "iws.bound" else point.found[0].radius
     rows = judge(page, value, x, point.found, point.rivals or rivals, caustic) if point.found else []
-    rows += [refused(value, x, label, f"refused: {why}") for label, why in point.failed.items()]
+    rows += [refused(value, x, label, why) for label, why in point.failed.items()]
     order = [c.label for c in page.contenders]
     return sorted(rows, key=lambda row: order.index(row.label))
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from causticmpi.compare.tables import number
-from causticmpi.stability.judge import Row
 from causticmpi.stability.records import Page, Sweep, Value
+from causticmpi.stability.row import Kind, Row
 
 
 def verdict(page: Page, rows: Sequence[Row]) -> str:
@@ -20,31 +20,48 @@ def verdict(page: Page, rows: Sequence[Row]) -> str:
 
 
 def failures(rows: Sequence[Row]) -> list[str]:
-    """Every cell where a method fails, named."""
-    return [f"{row.label} at {shown(row.value)}: {row.verdict}" for row in rows if row.verdict]
+    """Every cell where a method fails, named once: by its worst verdict, and by how many seeds if several fail."""
+    by_cell: dict[str, list[Row]] = {}
+    for row in rows:
+        if row.kind is not Kind.FINE:
+            by_cell.setdefault(_cell(row), []).append(row)
+    return [f"{cell}: {max(own, key=lambda row: row.kind).verdict.words}{_times(own)}" for cell, own in by_cell.items()]
+
+
+def _cell(row: Row) -> str:
+    return f"{row.label} at {shown(row.value)}"
+
+
+def _times(rows: Sequence[Row]) -> str:
+    return f" ({len(rows)} seeds)" if len(rows) > 1 else ""
+
+
+def _named(rows: Sequence[Row]) -> str:
+    """The cells of some rows, each once."""
+    by_cell: dict[str, list[Row]] = {}
+    for row in rows:
+        by_cell.setdefault(_cell(row), []).append(row)
+    return ", ".join(cell + _times(own) for cell, own in by_cell.items())
 
 
 def unbiasedness(rows: Sequence[Row]) -> str:
     """How the z-tests went."""
     claimed = [row for row in rows if not row.biased]
     tested = [row for row in claimed if row.tested]
-    wrong = [row for row in tested if row.verdict == "WRONG"]
     if not tested:
         return ""
-    finite = [row for row in tested if row.verdict != "wrong, as is warned" and math.isfinite(row.whole)]
+    finite = [row for row in tested if row.kind is not Kind.WARNED and math.isfinite(row.whole)]
     largest = max((abs(row.whole) for row in finite), default=math.inf)
     resolution = float(np.median([row.resolution for row in tested]))
-    right = [row for row in tested if not row.verdict.lower().startswith(("wrong", "leaks"))]
-    said = f"Unbiased within noise in {len(right)} of {len(tested)} tested cells"
+    said = f"Unbiased within noise in {sum(not row.off for row in tested)} of {len(tested)} tested cells"
     said += f" (largest |z| of a picture's mean {largest:.1f}, median resolution {100 * resolution:.2g} %)"
-    if wrong:
-        said += "; WRONG in " + ", ".join(f"{row.label} at {shown(row.value)}" for row in wrong)
-    warned = [row for row in tested if row.verdict == "wrong, as is warned"]
-    if warned:
-        said += "; wrong, as is warned, in " + ", ".join(f"{row.label} at {shown(row.value)}" for row in warned)
-    blind = [row for row in claimed if row.blind]
-    if blind:
-        said += "; too few hits to judge " + ", ".join(f"{row.label} at {shown(row.value)}" for row in blind)
+    blind = [row for row in claimed if row.kind is Kind.BLIND]
+    for words, some in (
+        ("WRONG in", [row for row in tested if row.kind is Kind.WRONG]),
+        ("wrong, as is warned, in", [row for row in tested if row.kind is Kind.WARNED]),
+        ("too few hits to judge", blind),
+    ):
+        said += f"; {words} {_named(some)}" if some else ""
     untested = len(claimed) - len(tested) - len(blind)
     return said + (f"; {untested} not tested." if untested else ".")
 
@@ -118,8 +135,8 @@ def _exact(page: Page, rows: Sequence[Row]) -> str:
     said = []
     for contender in page.contenders:
         own = [row for row in rows if row.label == contender.label]
-        good = [row for row in own if not row.verdict]
-        bad = [row for row in own if row.verdict]
+        good = [row for row in own if row.kind is Kind.FINE]
+        bad = [row for row in own if row.kind is not Kind.FINE]
         worst = max((abs(row.difference) for row in good), default=math.nan)
         text = f"{contender.label} meets the exact answer at {len(good)} of {len(own)} values"
         text += f" (off by at most {100 * worst:.2g} %)" if good else ""
@@ -168,7 +185,7 @@ def _lies(page: Page, rows: Sequence[Row]) -> str:
     for contender in page.contenders:
         own = [row for row in rows if row.label == contender.label]
         honest = next((row for row in own if page.sweep and row.value == page.sweep.start), None)
-        refusals = [shown(row.value) for row in own if row.verdict.startswith("refused")]
+        refusals = [shown(row.value) for row in own if row.kind is Kind.REFUSED]
         lied = [row for row in own if row is not honest and math.isfinite(row.relmse)]
         text = f"{contender.label} refuses {', '.join(refusals)}" if refusals else f"{contender.label} refuses nothing"
         if honest is not None and lied and honest.relmse > 0:
