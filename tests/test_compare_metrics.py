@@ -8,8 +8,10 @@ import pytest
 from causticmpi.compare.metrics import caustic_mask, flip_missing, mean_flip, measure, signed_error, trimmed
 from causticmpi.compare.reference import ReferencePicture, few_hits
 from causticmpi.compare.statistics import (
+    FEW_HITS,
     agreement,
     block_means,
+    fewest_hits,
     floor,
     interval,
     jackknife,
@@ -159,6 +161,22 @@ def test_rare_hits_are_counted_where_there_are_few() -> None:
         found = rare_hits(random.poisson(count / 16 / 16, size=(16, 16)) + 0.01 * random.normal(size=(16, 16)))
         assert count / 2 < found < 2 * count
     assert rare_hits(random.normal(size=(16, 16))) == np.inf and rare_hits(np.ones((4, 2))) == np.inf
+
+
+def test_few_values_that_show_no_skew_do_not_stand_for_many_hits() -> None:
+    """20 hits in two of 16 squares, which hold nearly all the variance: 16 batches may show no skew, 256 passes do."""
+    random = np.random.default_rng(6)
+    silent = 0
+    for _ in range(50):
+        passes = 1 + 0.01 * random.normal(size=(256, 16))
+        passes[:, :2] += random.poisson(20 / 2 / 256, size=(256, 2))
+        batches = passes.reshape(16, 16, 16).mean(axis=1)
+        silent += rare_hits(batches) == np.inf
+        assert fewest_hits(batches) < FEW_HITS
+        assert 5 < fewest_hits(passes) == rare_hits(passes) < 45
+    assert silent > 10
+    even = random.normal(size=(256, 16))
+    assert FEW_HITS < fewest_hits(even) < rare_hits(even) == np.inf == fewest_hits(np.ones((4, 2)))
 
 
 @pytest.mark.skipif(flip_missing() is not None, reason=str(flip_missing()))

@@ -4,17 +4,19 @@ import math
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
 import pytest
 from rendering import REPOSITORY
 
+from causticmpi.compare.statistics import FEW_HITS, fewest_hits
 from causticmpi.errors import InputError
 from causticmpi.scene.load import load_scene
-from causticmpi.stability import seeds, show, sweep, verdicts
-from causticmpi.stability.cell import Measured
-from causticmpi.stability.judge import hits, judge
+from causticmpi.stability import cell, seeds, show, sweep, verdicts
+from causticmpi.stability.cell import Bench, Measured, config_for, measure
+from causticmpi.stability.judge import expected_hits, judge
 from causticmpi.stability.lies import LIES
 from causticmpi.stability.records import Claim, Page
 from causticmpi.stability.row import FINE, Kind, Row, Verdict
@@ -22,7 +24,7 @@ from causticmpi.stability.run import main, read_pages
 from causticmpi.stability.scenes import TEMPLATES, build, write_scene
 
 PAGES = sorted((REPOSITORY / "configs" / "stability").glob("*.yaml"))
-BATCHES = 16
+BATCHES, PASSES = 16, 256
 BLIND = Verdict(Kind.BLIND, "blind: too few hits to judge (3)")
 
 
@@ -39,15 +41,19 @@ def page(**more: object) -> Page:
 def measured(label: str, method: str, mean: float = 1.0, noise: float = 0.1, seed: int = 1, **more: object) -> Measured:
     """A made-up measurement: 8 x 8 pixels, batches of normal deviation `noise` about `mean`."""
     random = np.random.default_rng(seed)
-    return measured_pictures(label, method, mean + noise * random.normal(size=(BATCHES, 8, 8, 3)), **more)
+    return measured_passes(label, method, mean + noise * 4 * random.normal(size=(PASSES, 8, 8, 3)), **more)
 
 
-def measured_pictures(label: str, method: str, pictures: np.ndarray, **more: object) -> Measured:
-    blocks = pictures.reshape(BATCHES, 4, 2, 4, 2, 3).mean(axis=(2, 4)).reshape(BATCHES, -1)
+def measured_passes(label: str, method: str, pictures: np.ndarray, **more: object) -> Measured:
+    """What `measure` makes of passes (PASSES, 8, 8, 3)."""
+    passes = pictures.reshape(PASSES, 4, 2, 4, 2, 3).mean(axis=(2, 4)).reshape(PASSES, -1)
+    blocks = passes.reshape(BATCHES, -1, 48).mean(axis=1)
+    pictures = pictures.reshape(BATCHES, -1, 8, 8, 3).mean(axis=1)
     plain = {
         "label": label, "method": method, "biased": False, "passes": BATCHES, "seconds": 1.0, "preprocess": 0.0,
         "rays": 1000, "slowest": 1.0, "memory_mb": 100.0, "nonfinite": 0, "rgb": pictures.mean(axis=0),
-        "variance": pictures.var(axis=0, ddof=1) / BATCHES, "blocks": blocks, "caustic": 0.1, "brightest": 0.5,
+        "variance": pictures.var(axis=0, ddof=1) / BATCHES, "blocks": blocks,
+        "hits": fewest_hits(passes.reshape(PASSES, 16, 3).sum(axis=2)), "caustic": 0.1, "brightest": 0.5,
         "radius": 0.1, "bound": 1.0, "seed": 7, "by_chance": method == "pt",
     }  # fmt: skip
     return Measured(**{**plain, **more})
@@ -63,9 +69,9 @@ def test_a_wrong_mean_is_found_and_a_right_one_is_not() -> None:
 def lit_by_hits(count: float, mean: float = 1.0) -> Measured:
     """Half of the light is even, the other half comes in `count` equal hits on the whole picture."""
     random = np.random.default_rng(3)
-    each = random.poisson(count / BATCHES / 64, size=(BATCHES, 8, 8, 1)) / (count / BATCHES / 64)
-    even = 1 + 0.01 * random.normal(size=(BATCHES, 8, 8, 3))
-    return measured_pictures("cf", "iws+cf", mean * (0.5 * even + 0.5 * each))
+    each = random.poisson(count / PASSES / 64, size=(PASSES, 8, 8, 1)) / (count / PASSES / 64)
+    even = 1 + 0.04 * random.normal(size=(PASSES, 8, 8, 3))
+    return measured_passes("cf", "iws+cf", mean * (0.5 * even + 0.5 * each))
 
 
 def test_too_dark_with_few_hits_is_blind_and_with_many_or_too_bright_is_wrong() -> None:
@@ -81,6 +87,34 @@ def test_too_dark_with_few_hits_is_blind_and_with_many_or_too_bright_is_wrong() 
     assert verdict(measured("pt", "pt", 1.05, brightest=300.0)) == "WRONG"
     assert verdict(measured("cf", "iws+cf", 0.95, brightest=300.0)) == "WRONG"
     assert verdict(measured("cf", "iws+cf", 0.95, brightest=300.0, caustic=0.01)).startswith("blind")
+
+
+def test_hits_in_two_squares_make_darkness_elsewhere_blind() -> None:
+    """As where a small lamp is seen: two squares hold all the noise, 16 batches show no skew, and rarer light lacks."""
+    random = np.random.default_rng(8)
+    rival = measured("rival", "iws+cf", noise=1e-3, seed=9)
+    for _ in range(20):
+        pictures = 1 + 0.01 * random.normal(size=(PASSES, 8, 8, 3))
+        pictures[:, :2, :2] *= 0.9
+        assert judge(page(), 1.0, 1.0, [measured_passes("cf", "iws+cf", pictures)], [rival], 0.1)[0].kind is Kind.WRONG
+        pictures[:, 2:4, 2:6] += random.poisson(20 / PASSES / 8, size=(PASSES, 2, 4, 1)) * PASSES * 8 / 20 - 1
+        assert judge(page(), 1.0, 1.0, [measured_passes("cf", "iws+cf", pictures)], [rival], 0.1)[0].kind is Kind.BLIND
+
+
+def test_hits_are_counted_by_passes_and_without_colour(monkeypatch: pytest.MonkeyPatch) -> None:
+    random = np.random.default_rng(1)
+
+    def whole_pass(_method: object, _index: int, _pixels: object, film: np.ndarray) -> int:
+        film[:, :3] += 1
+        film[:2, 3:] += random.poisson(20 / PASSES / 2, size=(2, 1))
+        return 1
+
+    monkeypatch.setattr(cell, "whole_pass", whole_pass)
+    monkeypatch.setattr(cell, "of_scene", lambda *_: ())
+    scene = SimpleNamespace(brightest=1.0, extent=1.0, data=None)
+    bench = Bench(scene, config_for(8, 1, {"method": "iws+cf"}), None, None, 0.0, np.arange(64))  # type: ignore[arg-type]
+    found = measure(bench, "cf", PASSES // BATCHES, BATCHES)
+    assert 10 < found.hits < 40 < FEW_HITS and found.passes == PASSES
 
 
 def test_no_one_is_too_bright_beside_a_blind_rival() -> None:
@@ -118,7 +152,7 @@ def test_error_at_equal_time_counts_tracing_preprocess_and_bias() -> None:
 
 def test_who_never_meets_the_light_is_not_believed() -> None:
     blind = measured("pt", "pt", brightest=1e6)
-    assert hits(blind, 0.1) < 1
+    assert expected_hits(blind, 0.1) < 1
     rows = judge(
         page(), 1.0, 1.0, [blind, measured("cf", "iws+cf", noise=0.3)], [measured("rival", "pt", brightest=1e6)], 0.1
     )

@@ -136,15 +136,29 @@ def rare_hits(values: np.ndarray) -> float:
     few that carry the variance. With few hits t-tests are void: columns that got none are dark and seem sure of it.
     Raises ValueError for m < 3.
     """
+    second, third, noise = _moments(values)
+    return len(values) * second**3 / third**2 if third > noise else float("inf")
+
+
+def fewest_hits(values: np.ndarray) -> float:
+    """As `rare_hits`, but where (m, k) values show no skew: the hits from which on they would not, inf without spread.
+
+    That is m^2 / 96 where one column has all the variance, and k^2 times as many where k columns share it: 16 values
+    cannot tell three hits in one column from a million.
+    """
+    second, third, noise = _moments(values)
+    return len(values) * second**3 / max(third, noise) ** 2 if noise > 0 else float("inf")
+
+
+def _moments(values: np.ndarray) -> tuple[float, float, float]:
+    """Sums over columns of the variances and of the third moments of (m, k) values; the least third sum that counts."""
     m = len(values)
     if m < 3:
         raise ValueError("a third moment needs three values")
     deviation = values - values.mean(axis=0)
     second = (deviation**2).sum(axis=0) / (m - 1)
     third = float((deviation**3).sum()) * m / ((m - 1) * (m - 2))
-    if third <= SKEWED * np.sqrt(6 / m * float((second**3).sum())):
-        return float("inf")
-    return float(m * second.sum() ** 3 / third**2)
+    return float(second.sum()), third, SKEWED * float(np.sqrt(6 / m * (second**3).sum()))
 
 
 def block_means(picture: np.ndarray, side: int) -> np.ndarray:

@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from causticmpi.compare.statistics import block_means
+from causticmpi.compare.statistics import block_means, fewest_hits
 from causticmpi.config.records import RenderConfig
 from causticmpi.distributed.clock import Stopwatch
 from causticmpi.distributed.prepare import PreparedScene, prepare_method, share_maps, share_scene
@@ -38,10 +38,12 @@ BLOCKS = 4
 class Measured:
     """What a contender did in a cell. rgb, variance (H, W, 3): mean picture and variance of its mean, over `batches`.
 
-    blocks (batches, k): means of squares of the film; caustic: mean luminance of L_c; seconds: CPU time of tracing,
-    `preprocess` apart; slowest: the longest pass over the mean one; brightest: largest radiance of a light;
-    radius: the search radius used (nan: none); seed: of its config; bound: what `auto` means for b; by_chance: whether it meets lights
-    behind specular surfaces by chance alone; warnings: that a run would give beforehand.
+    blocks (batches, k): means of squares of the film, by colour; hits: rare bright ones that make its noise, by the
+    skew of the squares' means, without colour, in all passes (`fewest_hits`); caustic: mean luminance of L_c; seconds:
+    CPU time of tracing, `preprocess` apart; slowest: the longest pass over the mean one; brightest: largest radiance
+    of a light; radius: the search radius used (nan: none); bound: what `auto` means for b; seed: of its config;
+    by_chance: whether it meets lights behind specular surfaces by chance alone; warnings: that a run would give
+    beforehand.
     """
 
     label: str
@@ -57,6 +59,7 @@ class Measured:
     rgb: np.ndarray
     variance: np.ndarray
     blocks: np.ndarray
+    hits: float
     caustic: float
     brightest: float
     radius: float
@@ -180,9 +183,11 @@ def measure(bench: Bench, label: str, passes: int, batches: int) -> Measured:
     """Independent batches of `passes` passes each."""
     film = bench.config.film
     shape = (film.height, film.width)
+    side = max(1, film.height // BLOCKS)
     slots = film.height * film.width
     one = np.zeros((slots, 6), np.float32)
     means = np.zeros((batches, *shape, 3))
+    squares = []  # by pass: a few batches are too few values to show a skew
     caustic, rays, nonfinite, slowest, spent = 0.0, 0, 0, 0.0, 0.0
     for b in range(batches):
         total = np.zeros((slots, 6))
@@ -196,6 +201,7 @@ def measure(bench: Bench, label: str, passes: int, batches: int) -> Measured:
             nonfinite += int(bad.sum())
             one[bad] = 0
             total += one
+            squares.append(block_means(one.sum(axis=1, dtype=np.float64).reshape(*shape, 1), side))
         total /= passes
         means[b] = (total[:, :3] + total[:, 3:]).reshape(*shape, 3)
         caustic += float(total[:, 3:].mean()) / batches
@@ -212,7 +218,8 @@ def measure(bench: Bench, label: str, passes: int, batches: int) -> Measured:
         nonfinite=nonfinite,
         rgb=means.mean(axis=0),
         variance=means.var(axis=0, ddof=1) / batches,
-        blocks=np.array([block_means(mean, max(1, shape[0] // BLOCKS)) for mean in means]),
+        blocks=np.array([block_means(mean, side) for mean in means]),
+        hits=fewest_hits(np.array(squares)),
         caustic=caustic,
         brightest=bench.scene.brightest,
         radius=float(getattr(bench.maps, "radius", float("nan"))),

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from causticmpi.compare.statistics import FEW_HITS, agreement, rare_hits
+from causticmpi.compare.statistics import FEW_HITS, agreement
 from causticmpi.output.picture import RELMSE_FLOOR
 from causticmpi.render.foresight import TOO_FAR
 from causticmpi.stability.cell import Measured
@@ -28,7 +28,7 @@ LOSS = 1.05
 """A contender whose error is this many times the baseline's has lost to it."""
 
 
-def hits(measured: Measured, caustic: float) -> float:
+def expected_hits(measured: Measured, caustic: float) -> float:
     """Expected hits on lights behind specular surfaces in all paths of a tracer that finds them by chance."""
     return measured.samples * caustic / (SHARE_OF_LIGHT * measured.brightest)
 
@@ -40,17 +40,16 @@ def misses(measured: Measured, caustic: float) -> bool:
 
 def sees(measured: Measured, caustic: float) -> bool:
     """Whether its mean can be trusted to know the caustics whose mean radiance is `caustic`."""
-    return not measured.by_chance or caustic <= 0 or hits(measured, caustic) >= SIGHT
+    return not measured.by_chance or caustic <= 0 or expected_hits(measured, caustic) >= SIGHT
 
 
 def counted_hits(measured: Measured, caustic: float) -> float:
-    """Rare hits behind its mean: those its batches show, or those to be expected where it meets the light by chance.
+    """Rare hits behind its mean: those its passes show, or those to be expected where it meets the light by chance.
 
     So does a forecast that misses most of the caustics: it has none where they come from.
     """
-    shown = rare_hits(measured.blocks)
     by_chance = measured.by_chance or misses(measured, caustic)
-    return min(shown, hits(measured, caustic)) if by_chance and caustic > 0 else shown
+    return min(measured.hits, expected_hits(measured, caustic)) if by_chance and caustic > 0 else measured.hits
 
 
 def _blind(found: float) -> Verdict:
@@ -108,11 +107,12 @@ def _row(
     else:
         test, against = _Test(), ""
     return Row(
-        value=value, x=x, label=m.label, biased=m.biased, seed=m.seed, relmse=relmse + max(0.0, bias if m.biased else 0.0),
-        share=float(own.max() / max(own.sum(), 1e-300)), fireflies=_fireflies(own), bias=bias,
-        p=test.p, whole=test.whole, difference=test.difference,
-        resolution=test.resolution, passes=m.passes, pass_seconds=m.pass_seconds,
-        preprocess=m.preprocess, rays=m.rays / m.samples, slowest=m.slowest, memory_mb=m.memory_mb, caustic=m.caustic,
+        value=value, x=x, label=m.label, biased=m.biased, seed=m.seed,
+        relmse=relmse + max(0.0, bias if m.biased else 0.0), bias=bias,
+        share=float(own.max() / max(own.sum(), 1e-300)), fireflies=_fireflies(own),
+        p=test.p, whole=test.whole, difference=test.difference, resolution=test.resolution,
+        passes=m.passes, pass_seconds=m.pass_seconds, preprocess=m.preprocess,
+        rays=m.rays / m.samples, slowest=m.slowest, memory_mb=m.memory_mb, caustic=m.caustic,
         verdict=_failed(page, m, test, rival, caustic), against=against, rgb=m.rgb.astype(np.float32), signed=signed,
         warnings=m.warnings,
     )  # fmt: skip
@@ -152,7 +152,7 @@ def _failed(page: Page, m: Measured, test: _Test, rival: Measured | None, causti
     if page.constant_caustics and misses(m, caustic):
         return Verdict(Kind.MISSES, f"misses {100 * (1 - m.caustic / caustic):.0f} % of the caustics")
     if not sees(m, caustic):
-        return _blind(hits(m, caustic))
+        return _blind(expected_hits(m, caustic))
     if not math.isfinite(test.p) and page.truth.rivals:
         return Verdict(Kind.UNTESTED, "not tested: no rival sees enough")
     if m.preprocess >= page.equal_time:

@@ -45,8 +45,8 @@ def table(name: str, page: Page, rows: Sequence[Row]) -> Table:
         f"{page.batches} batches; biased methods add their squared bias. p: Welch's t-test of the mean and 48 means of "
         "squares, Sidak-corrected; resolution: standard error of the difference of the pictures' means. WRONG: the "
         "test fails. Blind: some mean is too low (or the light is met by chance), none too high, and the picture is "
-        f"made of so few rare hits (their number; below {FEW_HITS}) that neither mean nor error can be believed. Of several seeds: relMSE is "
-        "the mean over all, the rest is of the seed named, that of the worst verdict.",
+        f"made of so few rare hits (their number; below {FEW_HITS}) that neither mean nor error can be believed. Of "
+        "several seeds: relMSE is the mean over all, the rest is of the seed named, that of the worst verdict.",
     )
 
 
@@ -154,7 +154,8 @@ def _curves(
     moved = deviation.transData + ScaledTranslation(aside / 72, 0, deviation.figure.dpi_scale_trans)
     for row in rows:
         meaning, marker, face, size = _mark(row, colour)
-        z = float(np.clip(row.whole, -FAR, FAR)) if row.tested or row.kind is Kind.BLIND and math.isfinite(row.whole) else -FAR
+        placed = row.tested or row.kind is Kind.BLIND and math.isfinite(row.whole)
+        z = float(np.clip(row.whole, -FAR, FAR)) if placed else -FAR
         deviation.plot(
             place[shown(row.value)], z, marker, color=colour, markerfacecolor=face, markersize=size, label=meaning,
             transform=moved,
