@@ -50,7 +50,7 @@ def measured_passes(label: str, method: str, pictures: np.ndarray, **more: objec
     blocks = passes.reshape(BATCHES, -1, 48).mean(axis=1)
     pictures = pictures.reshape(BATCHES, -1, 8, 8, 3).mean(axis=1)
     plain = {
-        "label": label, "method": method, "biased": False, "passes": BATCHES, "seconds": 1.0, "preprocess": 0.0,
+        "label": label, "biased": False, "passes": BATCHES, "seconds": 1.0, "preprocess": 0.0,
         "rays": 1000, "slowest": 1.0, "memory_mb": 100.0, "nonfinite": 0, "rgb": pictures.mean(axis=0),
         "variance": pictures.var(axis=0, ddof=1) / BATCHES, "blocks": blocks,
         "hits": fewest_hits(passes.reshape(PASSES, 16, 3).sum(axis=2)), "caustic": 0.1, "brightest": 0.5,
@@ -117,6 +117,13 @@ def test_hits_are_counted_by_passes_and_without_colour(monkeypatch: pytest.Monke
     assert 10 < found.hits < 40 < FEW_HITS and found.passes == PASSES
 
 
+def test_a_slow_first_pass_has_no_say_in_how_many_follow(monkeypatch: pytest.MonkeyPatch) -> None:
+    ends = iter([0.0, 10.0, 10.0, 10.1])
+    monkeypatch.setattr(cell, "time", SimpleNamespace(process_time=lambda: next(ends)))
+    bench = SimpleNamespace(pixels=np.arange(4), add_pass=lambda *_: 1)
+    assert cell.passes_within(bench, 4.0) == pytest.approx(40)  # type: ignore[arg-type]
+
+
 def test_no_one_is_too_bright_beside_a_blind_rival() -> None:
     dark = replace(lit_by_hits(5, mean=0.5), label="rival")
     (row,) = judge(page(), 1.0, 1.0, [measured("cf", "iws+cf", 100.0)], [dark], 0.1)
@@ -161,6 +168,12 @@ def test_who_never_meets_the_light_is_not_believed() -> None:
     missing = measured("cf", "iws+cf", caustic=0.01)
     (row,) = judge(page(constant_caustics=True), 1.0, 1.0, [missing], [measured("rival", "pt")], 0.1)
     assert row.verdict == (Kind.MISSES, "misses 90 % of the caustics") and not row.trusted
+
+
+def test_a_rival_may_have_a_contenders_label() -> None:
+    own, rival = measured("pt", "pt"), measured("pt", "pt", seed=9)
+    rows = judge(page(), 1.0, 1.0, [own, measured("cf", "iws+cf", seed=2)], [rival], 0.1)
+    assert [row.against for row in rows] == ["", "pt"] and rows[0].kind is Kind.UNTESTED
 
 
 def test_losing_to_plain_sampling_is_named() -> None:
@@ -285,6 +298,21 @@ def test_photons_that_are_no_numbers_are_refused_others_taken(tmp_path: Path) ->
         assert bool(point.failed) == (lie in ("nan", "infinite")), lie
         assert all("not finite" in why for why in point.failed.values())
         assert not any(m.nonfinite for m in point.found)
+
+
+@pytest.mark.parametrize(
+    ("option", "words"),
+    [
+        ("--seeds=0", "--seeds: found 0; allowed: 1 or more"),
+        ("-j0", "-j: found 0; allowed: 1 or more"),
+        ("--scale=-1", "--scale: found -1; allowed: a number above 0"),
+        ("--scale=nan", "--scale: found nan; allowed: a number above 0"),
+    ],
+)
+def test_options_that_could_not_run_are_refused(option: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(["page.yaml", option])
+    assert stopped.value.code == 2 and words in capsys.readouterr().err
 
 
 SMALL = """

@@ -34,9 +34,9 @@ BLOCKS = 4
 """Squares along a side of the film whose means are compared: few, so that rare bright paths even out in each."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Measured:
-    """What a contender did in a cell. rgb, variance (H, W, 3): mean picture and variance of its mean, over `batches`.
+    """What a contender did in a cell. rgb, variance (H, W, 3): mean picture and its variance, by independent batches.
 
     blocks (batches, k): means of squares of the film, by colour; hits: rare bright ones that make its noise, by the
     skew of the squares' means, without colour, in all passes (`fewest_hits`); caustic: mean luminance of L_c; seconds:
@@ -47,7 +47,6 @@ class Measured:
     """
 
     label: str
-    method: str
     biased: bool
     passes: int
     seconds: float
@@ -81,7 +80,10 @@ class Measured:
 
 @dataclass
 class Bench:
-    """A scene in this process and one method with its forecast, ready for passes."""
+    """A scene in this process and one method with its forecast, ready for passes.
+
+    preprocess: CPU seconds that the forecast took; pixels (n, 4): the film's, as by `pixel_order`.
+    """
 
     scene: PreparedScene
     config: RenderConfig
@@ -91,7 +93,7 @@ class Bench:
     pixels: np.ndarray
 
     def add_pass(self, index: int, film: np.ndarray) -> int:
-        """One pass added to `film` (slots, 6); returns the rays traced."""
+        """One pass added to `film` (slots, 6), L_d and L_c in RGB; returns the rays traced."""
         return whole_pass(self.method, index, self.pixels, film)
 
     def close(self) -> None:
@@ -164,9 +166,10 @@ def _without_photons(config: RenderConfig) -> bool:
 
 
 def passes_within(bench: Bench, seconds: float) -> float:
-    """How many passes take about `seconds` of CPU time.
+    """How many passes, not rounded, take about `seconds` of CPU time.
 
-    By a pilot whose samples are thrown away: what the picture costs has no say in what it shows.
+    By a pilot whose samples are thrown away: what the picture costs has no say in what it shows. Of two passes at
+    least: the first of a process may load kernels that the warm-up did not.
     """
     one = np.zeros((len(bench.pixels), 6), np.float32)
     costs: list[float] = []
@@ -174,7 +177,7 @@ def passes_within(bench: Bench, seconds: float) -> float:
         began = time.process_time()
         bench.add_pass(PILOT_PASS + i, one)
         costs.append(time.process_time() - began)
-        if sum(costs) > seconds / 4:
+        if i > 0 and sum(costs) > seconds / 4:
             break
     return seconds / max(min(costs), 1e-6)
 
@@ -207,7 +210,6 @@ def measure(bench: Bench, label: str, passes: int, batches: int) -> Measured:
         caustic += float(total[:, 3:].mean()) / batches
     return Measured(
         label=label,
-        method=bench.config.method,
         biased=bench.config.method in BIASED,
         passes=batches * passes,
         seconds=spent,

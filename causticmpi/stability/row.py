@@ -48,7 +48,7 @@ class Verdict(NamedTuple):
 FINE = Verdict(Kind.FINE, "")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Row:
     """One contender in one cell. value: of the parameter; x: its place in the chart, nan for one without a number;
     seed: of its config, None for a cell without a picture.

@@ -1,5 +1,6 @@
 """The stability report: pages read and checked, cells measured by several processes, one HTML page written."""
 
+import math
 import multiprocessing
 import sys
 import time
@@ -163,8 +164,11 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--seeds", type=int, default=1, metavar="N", help="measure each sweep N times")
     parser.add_argument("-j", dest="processes", type=int, default=2, help="processes")
     given = parser.parse_args(arguments)
-    if given.seeds < 1:
-        parser.error(f"--seeds: found {given.seeds}; allowed: 1 or more")
+    for name, number in (("--seeds", given.seeds), ("-j", given.processes)):
+        if number < 1:
+            parser.error(f"{name}: found {number}; allowed: 1 or more")
+    if not 0 < given.scale < math.inf:
+        parser.error(f"--scale: found {given.scale:g}; allowed: a number above 0")
     command = shlex.join(["scripts/stability", *arguments])
     try:
         return 1 if make_report(given.pages, given.out, given.scale, given.processes, command, given.seeds) else 0

@@ -18,7 +18,10 @@ from causticmpi.stability.records import Contender, Page
 TRUE_WITHIN = 1.25
 """Factor within which an estimated error is called accurate."""
 TARGET_FACTOR = 1.5
-"""The error that `until` runs aim at is that of page.passes passes, divided by this."""
+"""The error that `until` runs aim at is that of page.passes passes, times this."""
+TRUTH_PASS = 1 << 40
+"""Number of the first pass of their truth: none that a run has."""
+FEWEST_RUNS = 8
 
 
 @dataclass(frozen=True)
@@ -57,7 +60,7 @@ class Coverage:
 
 def coverage(page: Page, contender: Contender, file: Path, scale: float) -> Coverage:
     """Independent runs of equally many passes; the truth of each is the mean of all the others."""
-    runs = max(8, round(page.runs * min(1.0, scale)))
+    runs = _count(page, scale)
     bench = set_up(file, config_for(page.side, 1, {**page.set, **contender.set}))
     pictures, own, estimated, factors = [], [], [], []
     for run in range(runs):
@@ -93,8 +96,8 @@ def _actual(pictures: np.ndarray) -> np.ndarray:
 @dataclass(frozen=True)
 class Stops:
     """Runs that stop at a wanted error. target: relMSE; passes, actual (runs,): when they stopped and their squared
-    error; difference, z: of the mean of all pictures to the truth, relative and in standard errors; naive: the same
-    runs stopped by their own error; names: of the two rules."""
+    relative error; difference, z: of the mean of all pictures to the truth, relative and in standard errors; naive: the
+    same runs stopped by their own error."""
 
     label: str
     target: float
@@ -113,13 +116,13 @@ LONGEST_STOP = 8
 
 def stops(page: Page, contender: Contender, file: Path, scale: float) -> Stops:
     """Runs with a wanted error: a pilot finds one that takes about page.passes passes; truth from longer runs."""
-    runs = max(8, round(page.runs * min(1.0, scale)))
+    runs = _count(page, scale)
     bench = set_up(file, config_for(page.side, 1, {**page.set, **contender.set}))
     quantum = quantum_for(bench.scene.brightest)
     truth_film = Film(page.side**2, quantum)
     truth_passes = runs * page.passes
     for i in range(truth_passes):
-        _add(bench, truth_film, (1 << 40) + i)
+        _add(bench, truth_film, TRUTH_PASS + i)
     truth, variance = _resolved(truth_film)
     target = estimated_relmse(truth, variance) * truth_passes / page.passes * TARGET_FACTOR
     weight = 1 / (truth**2 + RELMSE_FLOOR)
@@ -139,6 +142,10 @@ def stops(page: Page, contender: Contender, file: Path, scale: float) -> Stops:
         contender.label, target, passes, actual, *_deviation(means, goal, share), naive_passes,
         *_deviation(naive_means, goal, share),
     )  # fmt: skip
+
+
+def _count(page: Page, scale: float) -> int:
+    return max(FEWEST_RUNS, round(page.runs * min(1.0, scale)))
 
 
 def _deviation(means: np.ndarray, goal: float, share: float) -> tuple[float, float]:

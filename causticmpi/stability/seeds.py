@@ -8,6 +8,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
+from typing import Literal
 
 import numpy as np
 
@@ -50,7 +51,7 @@ class Ratio:
     blind: bool
 
     @property
-    def verdict(self) -> str:
+    def verdict(self) -> Literal["holds", "open", "FAILS", "blind"]:
         """Of the claim, by the interval; by the value alone for one seed."""
         if self.blind:
             return "blind"

@@ -14,7 +14,7 @@ from causticmpi.scene.load import load_scene
 from causticmpi.stability.cell import Measured, config_for, measure, passes_within, set_up
 from causticmpi.stability.judge import judge, seen_caustic
 from causticmpi.stability.lies import LIES
-from causticmpi.stability.records import Page, Sweep, Value
+from causticmpi.stability.records import Contender, Page, Sweep, Value
 from causticmpi.stability.row import Row, refused
 from causticmpi.stability.scenes import build, write_scene
 
@@ -59,7 +59,7 @@ def measure_point(page: Page, place: Path, out: Path, index: int, scale: float, 
     lie = str(value) if page.sweep.parameter == "photons" else "none"
     found, failed = [], {}
     for i, contender in enumerate(page.contenders):
-        settings = {**page.set, **_config_value(page.sweep, value), **contender.set}
+        settings = _settings(page, value, contender)
         try:
             found.append(_one(page, contender.label, file, settings, SEED + i + NEXT_SEED * turn, scale, lie))
         except (InputError, ValueError, RuntimeError) as error:
@@ -81,14 +81,15 @@ def _rivals(page: Page, file: Path, factor: float, scale: float) -> list[Measure
 
 
 def _one(
-    page: Page, label: str, file: Path, settings: Mapping[str, Any], seed: int, share: float, lie: str = "none"
+    page: Page, label: str, file: Path, settings: Mapping[str, Any], seed: int, factor: float, lie: str = "none"
 ) -> Measured:
+    """factor: of the page's CPU time or passes."""
     bench = set_up(file, config_for(page.side, seed, settings), lie)
     try:
         if page.batch_passes is None:
-            passes = passes_within(bench, page.seconds * share) / page.batches
+            passes = passes_within(bench, page.seconds * factor) / page.batches
         else:
-            passes = page.batch_passes * share
+            passes = page.batch_passes * factor
         return measure(bench, label, max(1, round(passes)), page.batches)
     finally:
         bench.close()
@@ -181,19 +182,20 @@ def check_page(page: Page, place: Path) -> None:
         if page.room is not None and page.room.template is not None:
             build(page.room.template, _parameters(page, index))
         for contender in (*page.contenders, *page.truth.rivals):
-            settings = {**page.set, **_config_value(page.sweep, value), **contender.set}
             try:
-                config_for(page.side, 1, settings)
+                config_for(page.side, 1, _settings(page, value, contender))
             except msgspec.ValidationError as error:
                 raise InputError(
                     f"{contender.label}, {page.sweep and page.sweep.parameter} = {value}: {error}"
                 ) from None
 
 
-def _config_value(sweep: Sweep | None, value: Value) -> dict[str, Any]:
+def _settings(page: Page, value: Value, contender: Contender) -> dict[str, Any]:
+    """A contender's config by dotted keys at one value of the sweep."""
+    sweep = page.sweep
     if sweep is None or sweep.parameter == "photons" or _is_of_scene(sweep):
-        return {}
-    return {sweep.parameter: _plain(value)}
+        return {**page.set, **contender.set}
+    return {**page.set, sweep.parameter: _plain(value), **contender.set}
 
 
 def _plain(value: Value) -> Value | int:

@@ -75,7 +75,7 @@ def shown(value: Value) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def at(sweep: Sweep | None, row: Row) -> str:
+def _at(sweep: Sweep | None, row: Row) -> str:
     """`name = value`."""
     return f"{sweep.name if sweep else 'value'} {shown(row.value)}"
 
@@ -101,8 +101,8 @@ def _rivals(page: Page, rows: Sequence[Row]) -> str:
             continue
         best, worst = max(pairs, key=lambda pair: pair[1]), min(pairs, key=lambda pair: pair[1])
         said.append(
-            f"{contender.label} is x {number(best[1])} as efficient as {page.baseline} at {at(page.sweep, best[0])} "
-            f"and x {number(worst[1])} at {at(page.sweep, worst[0])}"
+            f"{contender.label} is x {number(best[1])} as efficient as {page.baseline} at {_at(page.sweep, best[0])} "
+            f"and x {number(worst[1])} at {_at(page.sweep, worst[0])}"
         )
     for contender in page.contenders:
         lost = [shown(row.value) for row in rows if row.label == contender.label and not row.trusted]
@@ -120,7 +120,7 @@ def _setting(page: Page, rows: Sequence[Row]) -> str:
         if not own:
             continue
         best, worst = min(own, key=lambda row: row.relmse), max(own, key=lambda row: row.relmse)
-        text = f"{contender.label}: least error at {at(page.sweep, best)} (relMSE {number(best.relmse)})"
+        text = f"{contender.label}: least error at {_at(page.sweep, best)} (relMSE {number(best.relmse)})"
         default = next((row for row in own if start is not None and row.value == start), None)
         if default is not None and default is not best:
             text += f", the default {shown(default.value)} has x {number(default.relmse / best.relmse)} of it"
@@ -155,7 +155,7 @@ def _floor(page: Page, rows: Sequence[Row]) -> str:
         least, most = min(own, key=lambda row: row.bias), max(own, key=lambda row: row.bias)
         said.append(
             f"{contender.label} (biased) cannot get below relMSE {number(max(0.0, least.bias), 2)} at "
-            f"{at(page.sweep, least)} and {number(most.bias, 2)} at {at(page.sweep, most)}; its mean is off by "
+            f"{_at(page.sweep, least)} and {number(most.bias, 2)} at {_at(page.sweep, most)}; its mean is off by "
             f"{100 * most.difference:+.2g} % there"
         )
     return _sentence(said) or "No biased method is among the contenders."
@@ -170,9 +170,9 @@ def _bounded(page: Page, rows: Sequence[Row]) -> str:
             continue
         slowest = max(own, key=lambda row: row.slowest)
         said.append(
-            f"{contender.label} traces {number(own[0].rays)} rays per sample at {at(page.sweep, own[0])} and "
-            f"{number(own[-1].rays)} at {at(page.sweep, own[-1])}, its slowest pass takes {number(slowest.slowest, 2)} "
-            f"times the mean one"
+            f"{contender.label} traces {number(own[0].rays)} rays per sample at {_at(page.sweep, own[0])} and "
+            f"{number(own[-1].rays)} at {_at(page.sweep, own[-1])}, its slowest pass takes "
+            f"{number(slowest.slowest, 2)} times the mean one"
         )
     memory = [row.memory_mb for row in rows if row.passes]
     said += [f"no process has more than {max(memory):.0f} MB"] if memory else []
