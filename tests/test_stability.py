@@ -117,6 +117,18 @@ def test_hits_are_counted_by_passes_and_without_colour(monkeypatch: pytest.Monke
     assert 10 < found.hits < 40 < FEW_HITS and found.passes == PASSES
 
 
+def test_kernels_without_maps_are_warmed_up_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They have signatures of their own, which would be compiled in the first pass."""
+    warmed: list[bool] = []
+    monkeypatch.setattr(cell, "warm_up", lambda _config, _root, forecasting: warmed.append(forecasting))
+    monkeypatch.setattr(cell, "_COMPILED", set())
+    file = write_scene(build("box", {}), tmp_path / "box.yaml")
+    for photons in (300, 0, 0):
+        settings = {"method": "iws+cf", "forecast.photons": photons, "forecast.clusters": 4, "forecast.pilot": False}
+        cell.set_up(file, config_for(8, 1, settings)).close()
+    assert warmed == [True, False]
+
+
 def test_a_slow_first_pass_has_no_say_in_how_many_follow(monkeypatch: pytest.MonkeyPatch) -> None:
     ends = iter([0.0, 10.0, 10.0, 10.1])
     monkeypatch.setattr(cell, "time", SimpleNamespace(process_time=lambda: next(ends)))

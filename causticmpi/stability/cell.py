@@ -13,7 +13,7 @@ import numpy as np
 from causticmpi.compare.statistics import block_means, fewest_hits
 from causticmpi.config.records import RenderConfig
 from causticmpi.distributed.clock import Stopwatch
-from causticmpi.distributed.prepare import PreparedScene, prepare_method, share_maps, share_scene
+from causticmpi.distributed.prepare import PreparedScene, needs_forecast, prepare_method, share_maps, share_scene
 from causticmpi.distributed.usage import peak_memory_mb
 from causticmpi.distributed.warmup import warm_up
 from causticmpi.distributed.world import SerialWorld
@@ -115,9 +115,9 @@ def config_for(side: int, seed: int, settings: Mapping[str, Any]) -> RenderConfi
 
 def set_up(scene_file: Path, config: RenderConfig, lie: str = "none") -> Bench:
     """Load, shoot, cluster. lie: of the forecast's photons, a key of `LIES`. Raises InputError for a refused scene."""
-    _compile(config)
     world = SerialWorld()
     data = load_scene(scene_file)
+    _compile(config, needs_forecast(config, data))
     scene = share_scene(world, data)
     began = time.process_time()
     film = config.film
@@ -133,15 +133,15 @@ def set_up(scene_file: Path, config: RenderConfig, lie: str = "none") -> Bench:
     return Bench(scene, config, method, maps, preprocess, pixels)
 
 
-def _compile(config: RenderConfig) -> None:
-    """Load or compile a method's kernels once per process: no cell pays for it."""
-    kind = (config.method, config.forecast.sampling)
+def _compile(config: RenderConfig, forecasting: bool) -> None:
+    """Load or compile a method's kernels once per process: no cell pays for it. forecasting: whether it has maps."""
+    kind = (config.method, config.forecast.sampling, forecasting)
     if kind not in _COMPILED:
         _COMPILED.add(kind)
-        warm_up(config, True, config.method in FORECASTING)
+        warm_up(config, True, forecasting)
 
 
-_COMPILED: set[tuple[str, str]] = set()
+_COMPILED: set[tuple[str, str, bool]] = set()
 
 
 def _lying_maps(config: RenderConfig, data: SceneData, lie: str) -> ForecastMaps:
