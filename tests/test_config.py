@@ -29,7 +29,13 @@ output: {directory: 2024-01-01, interval: 5}
 
 
 def write(tmp_path: Path, text: str | bytes) -> Path:
-    path = tmp_path / "c.yaml"
+    """A config beside the scenes that configs here name: that they are files is all that a config has to know."""
+    folder = tmp_path / "configs"
+    (tmp_path / "scenes").mkdir(exist_ok=True)
+    folder.mkdir(exist_ok=True)
+    for scene in (tmp_path / "scenes" / "a.yaml", folder / "a", folder / "s.yaml"):
+        scene.touch()
+    path = folder / "c.yaml"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     return path
 
@@ -52,7 +58,7 @@ def test_every_key_arrives(tmp_path: Path) -> None:
     assert config.iws.bound == 1e5 and config.forecast.radius == 1e-3
     assert config.forecast.photons == 200_000 and config.forecast.table == (16, 8)
     assert config.output.directory == "2024-01-01", "a date is a text here"
-    assert scene_path(path, config) == tmp_path / "../scenes/a.yaml"
+    assert scene_path(path, config) == tmp_path / "configs" / "../scenes/a.yaml"
 
 
 def test_only_scene_is_needed(tmp_path: Path) -> None:
@@ -144,6 +150,10 @@ def test_bad_values(tmp_path: Path, text: str, line: int, pieces: list[str]) -> 
         ("- a\n", ":1: ", 'found ["a"]; allowed: a section with the keys scene, film'),
         ("scen: a\n", ":1: ", 'scen: unknown key; did you mean "scene"? Allowed: scene, film'),
         ("scene: 5\n", ":1: ", "scene: found 5; allowed: a text"),
+        ("seed: 1\nscene: none.yaml\n", ":2: ", "none.yaml: no such file; the path is relative to the config file"),
+        ("scene: ..\n", ":1: ", "scene: cannot read "),
+        ("camera: {}\nmaterials: {}\nshapes: []\n", ": ", "it is a scene; allowed: a config"),
+        ("scene: a\nfilm:\n\twidth: 3\n", ":3: ", "cannot start any token; indent with spaces"),
         ('scene: ""\n', ":1: ", 'scene: found ""; allowed: a path'),
     ],
 )

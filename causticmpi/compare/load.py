@@ -101,6 +101,10 @@ class _Reader:
         """One scene with all its runs."""
         keys: Keys = ("scenes", index)
         self._forbid((*keys, "set"), scene.set, OURS)
+        try:
+            load_config(self._beside(scene.config))
+        except InputError as error:
+            raise self.source.error((*keys, "config"), str(error)) from None
         base = self._merged((*keys, "set"), scene, {})
         self._check_closeups(keys, scene, base)
         budgets = self._budgets(keys, scene)

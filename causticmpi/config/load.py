@@ -34,8 +34,17 @@ def load_config(path: str | Path, overrides: Mapping[str, str] | Sequence[str] =
     file's `budget.spp`, and the reverse. Raises InputError that names file:line, or the override to blame.
     """
     source = read_yaml(path)
+    if isinstance(source.data, dict) and {"scene", "shapes"} & source.data.keys() == {"shapes"}:
+        raise InputError("it is a scene; allowed: a config, which names one by `scene: FILE`", source.file)
     config = _validated(source)
-    return _validated(overridden(source, overrides)) if overrides else config
+    if overrides:
+        source = overridden(source, overrides)
+        config = _validated(source)
+    scene = scene_path(path, config)
+    if not scene.is_file():
+        reason = "is a directory" if scene.is_dir() else "no such file"
+        raise source.error(("scene",), f"cannot read {scene}: {reason}; the path is relative to the config file")
+    return config
 
 
 def overridden(source: YamlSource, overrides: Mapping[str, str] | Sequence[str]) -> YamlSource:

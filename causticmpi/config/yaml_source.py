@@ -97,7 +97,8 @@ def parse_yaml(text: str, fail: Fail, places: dict[Keys, int | str]) -> Any:
         mark = unclosed or error.problem_mark or error.context_mark
         what = ", ".join(part for part in (error.context, error.problem) if part)
         line = mark.line + 1 if mark else loader.line + 1
-        raise fail(f"YAML syntax: {what}; check indentation, colons, quotes and brackets", line) from None
+        mend = "indent with spaces" if "'\\t'" in what else "check indentation, colons, quotes and brackets"
+        raise fail(f"YAML syntax: {what}; {mend}", line) from None
     except (YAMLError, ValueError, OverflowError) as error:
         raise fail(f"YAML syntax: {error}; check escapes and special characters", loader.line + 1) from None
     return None if node is None else _Plain(fail, places).value(node, ())

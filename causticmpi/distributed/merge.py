@@ -77,6 +77,8 @@ def read_part(directory: Path) -> Part:
     """One run. Raises InputError for a directory without a usable checkpoint, picture and report."""
     import OpenEXR  # late: heavy
 
+    if not directory.is_dir():
+        raise InputError("no such directory; allowed: one that a render wrote to", directory)
     state, arrays, damaged = find_state(directory)
     if state is None:
         why = "; ".join(damaged) or "it has no checkpoint"

@@ -138,7 +138,7 @@ def _refuse_run(path: str | os.PathLike[str], force: bool, resume: bool) -> Path
     if found and not (force or resume):
         raise InputError(
             f"it holds a run already ({', '.join(found[:3])}{', ...' if len(found) > 3 else ''}): "
-            "replace it with --force, go on with it with --resume, or choose another directory with --out",
+            "replace it with --force, have a render go on with it by --resume, or choose another directory with --out",
             directory,
         )
     return directory
