@@ -101,6 +101,10 @@ BAD = {
     "no samples": Bad(nothing, ("--spp 0: budget.spp: found 0", ">= 1"), ("--spp", "0")),
     "setting without value": Bad(nothing, ("--set nonsense: found no `=`",), ("--set", "nonsense")),
     "setting of nothing": Bad(nothing, ("--set film.heigth=3", 'did you mean "height"?'), ("--set", "film.heigth=3")),
+    "film too large": Bad(
+        change("width: 16, height: 12", "width: 65535, height: 65535"), ("65535 x 65535", "GB of this machine", "crop")
+    ),
+    "config is a scene": Bad(change(CONFIG.split("OUT")[0], SCENE + "#"), ("config.yaml: it is a scene",)),
     "crop outside": Bad(nothing, ("film.crop", "16"), ("--set", "film.crop=[0, 0, 17, 3]")),
     "negative seed": Bad(nothing, ("--seed -1: seed: found -1",), ("--seed", "-1")),
     "output is a file": Bad(
@@ -178,6 +182,17 @@ def test_bad_input_under_mpirun(name: str, tmp_path: Path) -> None:
     before = tree(tmp_path)
     done = run_mpi(3, ["-m", "causticmpi", *words], timeout=PATIENCE)
     assert_refused(BAD[name], done.returncode, done.stderr, before, tmp_path)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("verb", ["check", "inspect", "merge", "bench", "compare"])
+def test_every_verb_refuses_once_under_mpirun(verb: str, tmp_path: Path) -> None:
+    words = (
+        (str(tmp_path / "a"), str(tmp_path / "b"), "-o", str(tmp_path / "ab")) if verb == "merge" else ("none.yaml",)
+    )
+    done = run_mpi(3, ["-m", "causticmpi", verb, *words], timeout=PATIENCE)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1 and done.stdout == "", done.stderr
+    assert tree(tmp_path) == {}
 
 
 @pytest.mark.mpi

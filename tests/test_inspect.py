@@ -13,6 +13,8 @@ from rendering import make_config, prepare, scene_from
 
 from causticmpi.config.load import load_config, scene_path
 from causticmpi.config.records import RenderConfig
+from causticmpi.distributed.begin import sound_scene
+from causticmpi.distributed.clock import Stopwatch
 from causticmpi.estimators.virtual_lights import empty_virtual_lights, trace_virtual_lights
 from causticmpi.inspect.figures import BLACK, MUSTARD, WHITE, cluster_colours
 from causticmpi.inspect.findings import Findings, find
@@ -57,7 +59,7 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def found() -> Findings:
     """What that inspection found."""
     config = load_config(CORNELL, SMALL)
-    return find(config, scene_path(CORNELL, config))
+    return find(config, sound_scene(config, scene_path(CORNELL, config)), Stopwatch())
 
 
 def read_numbers(folder: Path) -> dict[str, Any]:
@@ -150,7 +152,8 @@ def test_points_are_seen_through_glass_and_in_mirrors(tmp_path: Path) -> None:
 def test_discs_have_their_colours_where_they_should(tmp_path: Path) -> None:
     path = tmp_path / "s.yaml"
     path.write_text(WALLS)
-    found = find(make_config(film={"width": 480, "height": 420}), path)
+    config = make_config(film={"width": 480, "height": 420})
+    found = find(config, sound_scene(config, path), Stopwatch())
     assert found.silence == "no surface of the scene is specular" and found.statistics is None
     scenery = Scenery(found)
     normals = np.tile([0.0, 0.0, 1.0], (3, 1))

@@ -14,6 +14,9 @@ import numpy as np
 from causticmpi.bench.preprocess import STAGES
 from causticmpi.bench.record import QUERIES
 from causticmpi.bench.subjects import Subject
+from causticmpi.config.load import load_config, scene_path
+from causticmpi.distributed.begin import sound_scene
+from causticmpi.output.directory import check_directory
 
 REPETITIONS = 5
 RATES = {
@@ -146,7 +149,15 @@ def table(results: Sequence[dict[str, Any]]) -> str:
 
 
 def bench(config_files: Sequence[str], directory: str | None) -> int:
-    """Measure each config's scene on one core, print the table, and write bench.json and bench.md where asked to."""
+    """Measure each config's scene on one core, print the table, and write bench.json and bench.md where asked to.
+
+    Raises InputError before anything is measured.
+    """
+    for config_file in config_files:
+        config = load_config(config_file)
+        sound_scene(config, scene_path(config_file, config))
+    if directory is not None:
+        check_directory(directory, force=True)
     results = []
     for config_file in config_files:
         print(f"causticmpi: measuring {config_file}", file=sys.stderr, flush=True)

@@ -1,4 +1,4 @@
-"""`causticmpi inspect`: from the command line to the findings; one rank does it."""
+"""`causticmpi inspect`: from the command line to the findings."""
 
 import argparse
 from pathlib import Path
@@ -9,11 +9,8 @@ from causticmpi.output.directory import check_directory
 
 def inspect(arguments: argparse.Namespace) -> int:
     """Find, draw, tell. Returns the exit code; raises InputError before anything is written."""
-    from causticmpi.distributed.environment import launcher_rank
     from causticmpi.inspect.run import inspect as run_inspection
 
-    if launcher_rank() > 0:
-        return 0  # under mpirun one of us is enough
     config = load_config(arguments.config, arguments.settings)
     directory = Path(arguments.out if arguments.out is not None else Path(config.output.directory) / "inspect")
     check_directory(directory, force=True)

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any, NoReturn
 
 from causticmpi import __version__
+from causticmpi.distributed.environment import launcher_rank
 from causticmpi.errors import InputError, RunError
 
 os.environ.setdefault("NUMBA_NUM_THREADS", "1")
@@ -67,7 +68,11 @@ def build_parser() -> argparse.ArgumentParser:
     _picture(render)
     _ranks(render)
     held = render.add_mutually_exclusive_group()
-    held.add_argument("--resume", action="store_true", help="go on with the run that DIR holds, or extend it")
+    held.add_argument(
+        "--resume",
+        action="store_true",
+        help="go on with the run that DIR holds, if any, or extend it",
+    )
     held.add_argument("--force", action="store_true", help="replace the run that DIR holds")
     check = _verb(verbs, "check", "validate config and scene, estimate memory and time of a render")
     _input(check)
@@ -96,6 +101,8 @@ def build_parser() -> argparse.ArgumentParser:
     return parser
 
 
+ALONE = ("check", "inspect", "merge", "bench")
+"""Verbs that one process does: under mpirun the others have nothing to do."""
 BENCH_CONFIGS = [f"configs/{name}.yaml" for name in ("cornell", "ring", "pool")]
 
 
@@ -146,6 +153,8 @@ def _run(argv: list[str]) -> int:
         arguments = parser.parse_args(argv)
         if arguments.verb is None:
             parser.error("found no VERB; allowed: render, check, compare, inspect, merge, bench")
+        if arguments.verb in ALONE and launcher_rank() > 0:
+            return 0
         if arguments.verb == "check":
             from causticmpi.cli.check import check
 
@@ -178,8 +187,6 @@ def _run(argv: list[str]) -> int:
 
 def report_input_error(error: InputError) -> int:
     """Print bad input once, even where a launcher started many of us; code 2."""
-    from causticmpi.distributed.environment import launcher_rank
-
     if launcher_rank() == 0:
         print(error if isinstance(error, UsageError) else f"causticmpi: {error}", file=sys.stderr, flush=True)
     return 2

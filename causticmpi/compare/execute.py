@@ -17,7 +17,7 @@ from causticmpi.compare.reference import (
     reference_directory,
     told,
 )
-from causticmpi.distributed.begin import Request
+from causticmpi.distributed.begin import Request, sound_scene
 from causticmpi.distributed.clock import Stopwatch
 from causticmpi.distributed.job import render_one
 from causticmpi.distributed.signals import StopFlag
@@ -28,8 +28,7 @@ from causticmpi.errors import InputError
 from causticmpi.output.directory import UNFINISHED, check_directory, write_whole
 from causticmpi.output.progress import clock
 from causticmpi.render.methods import FORECASTING
-from causticmpi.scene.content import has_specular, with_camera
-from causticmpi.scene.load import load_scene
+from causticmpi.scene.content import has_specular
 
 UNTIMED = 60.0
 """Seconds assumed of a run whose budget counts samples, for the time left."""
@@ -110,9 +109,7 @@ def _read(world: World, read_plan: Callable[[], Plan]) -> tuple[Plan, Scenes, di
 def _examine(plan: Plan) -> Scenes:
     hashes, specular = {}, {}
     for part in plan.parts:
-        scene = load_scene(part.scene_file)
-        if part.base.camera is not None:
-            scene = with_camera(scene, part.base.camera)
+        scene = sound_scene(part.base, part.scene_file)
         hashes[part.name], specular[part.name] = scene.content_hash, has_specular(scene)
     return Scenes(hashes, specular)
 

@@ -10,6 +10,7 @@ from causticmpi.compare.load import load_plan
 from causticmpi.compare.plan import Plan, only_scene
 from causticmpi.compare.report import write_reports
 from causticmpi.distributed.world import World
+from causticmpi.errors import InputError
 
 
 def compare(
@@ -31,6 +32,11 @@ def compare(
 
     def read_plan() -> Plan:
         require_matplotlib()
+        for directory in more:
+            if not directory.is_dir():
+                raise InputError(
+                    "no such directory; allowed: one of PNGs, such as `causticmpi inspect` makes", directory
+                )
         plan = load_plan(config, settings, out)
         return plan if scene is None else only_scene(plan, scene)
 

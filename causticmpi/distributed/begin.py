@@ -14,6 +14,7 @@ from causticmpi.distributed.world import World
 from causticmpi.errors import InputError
 from causticmpi.output.directory import UNFINISHED, Claim, check_directory, claim_directory
 from causticmpi.preprocess.aim import emission_aim
+from causticmpi.render.memory import check_memory
 from causticmpi.scene.content import with_camera
 from causticmpi.scene.data import SceneData
 from causticmpi.scene.load import load_scene
@@ -41,6 +42,16 @@ class Input:
     sums: np.ndarray | None = None
 
 
+def sound_scene(config: RenderConfig, scene_file: Path) -> SceneData:
+    """The scene as the config wants it seen. Raises InputError for whatever of the two cannot be rendered here."""
+    scene = load_scene(scene_file)
+    if config.camera is not None:
+        scene = with_camera(scene, config.camera)
+    emission_aim(config.forecast.aim, scene)
+    check_memory(config, scene)
+    return scene
+
+
 def read_input(world: World, read_request: Callable[[], Request], watch: Stopwatch) -> Input:
     """Rank 0 reads everything that can be wrong before a rank does any work; all ranks learn of the verdict."""
     error: InputError | None = None
@@ -49,10 +60,7 @@ def read_input(world: World, read_request: Callable[[], Request], watch: Stopwat
         try:
             with watch.stage("load"):
                 request = read_request()
-                scene = load_scene(request.scene_file)
-                if request.config.camera is not None:
-                    scene = with_camera(scene, request.config.camera)
-                emission_aim(request.config.forecast.aim, scene)
+                scene = sound_scene(request.config, request.scene_file)
             check_directory(request.config.output.directory, force=request.force, resume=request.resume)
             given = _with_state(Input(request, scene)) if request.resume else Input(request, scene)
         except InputError as found:

@@ -9,7 +9,6 @@ from causticmpi.distributed.warmup import warm_up
 from causticmpi.distributed.world import SerialWorld
 from causticmpi.kernels.pixels import pixel_order
 from causticmpi.render.rounds import Batches
-from causticmpi.scene.content import with_camera
 from causticmpi.scene.data import SceneData
 from causticmpi.scene.tracing import camera_array
 
@@ -33,10 +32,8 @@ class Estimate:
 
 
 def estimate(config: RenderConfig, scene: SceneData) -> Estimate:
-    """Measure; compiles the kernels first where they are not on disk."""
+    """Measure on the scene as the config sees it (`sound_scene`); compiles kernels first where they are not on disk."""
     world = SerialWorld()
-    if config.camera is not None:
-        scene = with_camera(scene, config.camera)
     warm_up(config, True, needs_forecast(config, scene))
     watch = Stopwatch(from_now=True)
     prepared = share_scene(world, scene, config.watertight)

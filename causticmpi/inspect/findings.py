@@ -1,7 +1,6 @@
 """What there is to inspect: the scene, some passes' virtual lights, caustic points and their clusters."""
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -16,8 +15,8 @@ from causticmpi.kernels.emission import natural_emission
 from causticmpi.preprocess.forecast import ClusterStatistics, no_forecast
 from causticmpi.preprocess.photons import CausticPoints
 from causticmpi.preprocess.vector_quantization import assign, features
-from causticmpi.scene.content import has_specular, with_camera
-from causticmpi.scene.load import load_scene
+from causticmpi.scene.content import has_specular
+from causticmpi.scene.data import SceneData
 
 SHOWN_PATHS = 256
 """Particle paths of virtual lights that are looked at: those of one pass are too few to see where they go."""
@@ -44,17 +43,13 @@ class Findings:
     seconds: dict[str, float]
 
 
-def find(config: RenderConfig, scene_file: Path) -> Findings:
-    """Load the scene and do what a render's rank 0 does before its first pass. Raises InputError.
+def find(config: RenderConfig, data: SceneData, watch: Stopwatch) -> Findings:
+    """Do what a render's rank 0 does with a sound scene before its first pass; `watch` takes the time of its stages.
 
     Caustics are forecast whatever the method of the config is.
     """
     config = msgspec.structs.replace(config, method="iws+cf")
-    watch = Stopwatch()
     with watch.stage("load"):
-        data = load_scene(scene_file)
-        if config.camera is not None:
-            data = with_camera(data, config.camera)
         scene = share_scene(SerialWorld(), data, config.watertight)
     passes = -(-SHOWN_PATHS // config.iws.paths)
     lights = _virtual_lights(config, scene, passes)

@@ -7,6 +7,8 @@ from pathlib import Path
 from PIL import Image, PngImagePlugin
 
 from causticmpi.config.records import RenderConfig
+from causticmpi.distributed.begin import sound_scene
+from causticmpi.distributed.clock import Stopwatch
 from causticmpi.inspect.figures import clusters_by_rank, photon_shooting
 from causticmpi.inspect.findings import find
 from causticmpi.inspect.numbers import numbers, table
@@ -19,8 +21,11 @@ SHOOTING, CLUSTERS, NUMBERS = "figure1-photon-shooting.png", "figure2-clusters-b
 def inspect(config: RenderConfig, scene_file: Path, directory: Path) -> int:
     """Inspect a scene under a config; files of an earlier inspection in `directory` are replaced. Returns 0, raises
     InputError before anything is written."""
+    watch = Stopwatch()
+    with watch.stage("load"):
+        scene = sound_scene(config, scene_file)
     print(f"causticmpi: inspecting {scene_file}", file=sys.stderr, flush=True)
-    found = find(config, scene_file)
+    found = find(config, scene, watch)
     scenery = Scenery(found)
     directory.mkdir(parents=True, exist_ok=True)
     shooting = photon_shooting(found, scenery)
