@@ -1,9 +1,9 @@
 """What all IWS estimators share: a tile of 16 pixels, its vertices that wait for their full radiance, and their rays.
 
 The full radiance of a vertex is Le + L_d + L_c; the virtual lights of the first vertices are summed for the tile at
-once, those of deeper ones for each vertex. An estimator takes up to 16 vertices (`vertices.take`) and has each of them
-send its rays; ray j of all of them is then one packet, whose specular chains are followed side by side (`trace`). What
-a pixel gets is in `PassWork.light`.
+once, those of deeper ones for each vertex. An estimator has up to 16 vertices send their rays; ray j of all of them is
+then one packet, whose specular chains are followed side by side, and the next vertices are taken from those that wait
+(`trace`). What a pixel gets is in `PassWork.light`.
 """
 
 import math
@@ -13,7 +13,7 @@ import numpy as np
 
 from causticmpi.estimators import weak_singularities as ws
 from causticmpi.estimators.light_tracing import owns
-from causticmpi.estimators.vertices import WAITING, Vertex, Vertices, empty_vertices, get, put
+from causticmpi.estimators.vertices import WAITING, Vertex, Vertices, empty_vertices, get, put, take
 from causticmpi.kernels import bsdf, rng, vec
 from causticmpi.kernels.camera import see_packet
 from causticmpi.kernels.embree import (
@@ -249,9 +249,10 @@ def compensate(scene, work, i, at, reach):
 
 @inline
 def trace(scene, work, top, bound):
-    """Trace the rays of the vertices in `work.now`: light they see goes to its pixel, vertices they find wait.
+    """Trace the rays of the vertices in `work.now`: light they see goes to its pixel, vertices they find wait behind
+    the `top` others. The last of all are then taken into `work.now`, to be worked on next.
 
-    Returns how many wait now, rays traced, vertices lost for want of room.
+    Returns how many wait still, how many were taken, rays traced, vertices lost for want of room.
     """
     packet, rays, hits = work.packet, work.rays, work.hits
     traced, lost = 0, 0
@@ -284,7 +285,8 @@ def trace(scene, work, top, bound):
                 top, missing = _land(scene, work, top, i, first + i, bound)
                 lost += missing
             rays.reals[first + i, 7] = OUT_OF_USE
-    return top, traced, lost
+    top, taken = take(work.waiting, work.now, top)
+    return top, taken, traced, lost
 
 
 @inline
@@ -293,7 +295,7 @@ def _land(scene, work, top, i, row, bound):
 
     On D: the compensation, the radiance of that vertex times 1 - w (eq. w of weak_singularities). On S: a caustic, the
     whole radiance of the vertex at the end of the specular chain. The vertex waits if it lives through the roulette.
-    Returns as `trace`.
+    Returns how many wait now, vertices lost for want of room.
     """
     at, hits = get(work.now, i), work.hits
     distance, caustic = hits.first[i, 0], hits.first[i, 1] > ZERO

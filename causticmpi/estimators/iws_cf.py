@@ -17,7 +17,7 @@ import numpy as np
 from causticmpi.estimators import caustic_forecast as cf
 from causticmpi.estimators import directional_tables as dt
 from causticmpi.estimators import full_radiance as fr
-from causticmpi.estimators.vertices import get, put, take
+from causticmpi.estimators.vertices import get, put
 from causticmpi.kernels import bsdf, rng, vec
 from causticmpi.kernels.embree import LANES
 from causticmpi.kernels.jit import inline, kernel
@@ -98,10 +98,9 @@ def trace_iws_cf(
                     _send_rays(scene, work, maps, compensation_reach, caustics, i)
         waiting, sent = 0, used
         while sent > 0:
-            waiting, rays, missing = fr.trace(scene, work, waiting, bound)
+            waiting, sent, rays, missing = fr.trace(scene, work, waiting, bound)
             traced += rays
             lost += missing
-            waiting, sent = take(work.waiting, work.now, waiting)
             for i in range(sent):
                 traced += fr.gather_few(scene, work, lights, count, few, get(work.now, i), bound)
                 _send_rays(scene, work, maps, compensation_reach, caustics, i)

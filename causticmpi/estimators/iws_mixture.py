@@ -16,7 +16,7 @@ from causticmpi.estimators import caustic_mixture as cm
 from causticmpi.estimators import full_radiance as fr
 from causticmpi.estimators import weak_singularities as ws
 from causticmpi.estimators.caustic_forecast import splitting
-from causticmpi.estimators.vertices import get, put, take
+from causticmpi.estimators.vertices import get, put
 from causticmpi.kernels import bsdf, rng, vec
 from causticmpi.kernels.embree import LANES
 from causticmpi.kernels.jit import inline, kernel
@@ -153,10 +153,9 @@ def trace_iws_mixture(
                     _send_first(scene, work, maps, i)
         waiting, sent = 0, used
         while sent > 0:
-            waiting, rays, missing = fr.trace(scene, work, waiting, bound)
+            waiting, sent, rays, missing = fr.trace(scene, work, waiting, bound)
             traced += rays
             lost += missing
-            waiting, sent = take(work.waiting, work.now, waiting)
             for i in range(sent):
                 traced += fr.gather_few(scene, work, lights, count, few, get(work.now, i), bound)
                 _send_deep(scene, work, maps, i)

@@ -14,7 +14,7 @@ import numpy as np
 
 from causticmpi.estimators import density_estimate as de
 from causticmpi.estimators import full_radiance as fr
-from causticmpi.estimators.vertices import get, put, take
+from causticmpi.estimators.vertices import get, put
 from causticmpi.kernels import vec
 from causticmpi.kernels.embree import LANES
 from causticmpi.kernels.jit import kernel
@@ -47,10 +47,9 @@ def trace_iws_pm(scene, camera, work, pixels, seed, pass_index, lights, count, p
                 fr.compensate(scene, work, i, get(work.now, i), compensation_reach)
         waiting, sent = 0, used
         while sent > 0:
-            waiting, rays, missing = fr.trace(scene, work, waiting, bound)
+            waiting, sent, rays, missing = fr.trace(scene, work, waiting, bound)
             traced += rays
             lost += missing
-            waiting, sent = take(work.waiting, work.now, waiting)
             for i in range(sent):
                 at = get(work.now, i)
                 traced += fr.gather_few(scene, work, lights, count, few, at, bound)
