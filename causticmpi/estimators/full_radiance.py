@@ -54,10 +54,11 @@ class Rays(NamedTuple):
 
 
 class Hits(NamedTuple):
-    """What a packet has hit, by lane: first (16, 2) float32: distance of the first hit, and whether that is on S;
+    """What a packet has hit, by lane: first float32: distance of the first hit; caustic bool: whether that is on S;
     primitive int64, distance float32: of the end of the specular chain; throughput (16, 3), key of the chain."""
 
     first: Any
+    caustic: Any
     primitive: Any
     distance: Any
     throughput: Any
@@ -89,7 +90,8 @@ def pass_work(forecast: Any, most_rays: int) -> PassWork:
     rows = LANES * most_rays
     rays = Rays(np.full((rows, RAY_WORDS), OUT_OF_USE, np.float32), np.zeros(rows, np.int64), np.zeros(rows, np.uint64))
     hits = Hits(
-        np.zeros((LANES, 2), np.float32),
+        np.zeros(LANES, np.float32),
+        np.zeros(LANES, np.bool_),
         np.zeros(LANES, np.int64),
         np.zeros(LANES, np.float32),
         np.zeros((LANES, 3), np.float32),
@@ -276,7 +278,7 @@ def trace(scene, work, top, bound):
                 caustic = is_specular(scene.kind[scene.material[primitive]])
                 if rays.counts[first + i] == (ON_DIFFUSE if caustic else ON_SPECULAR):
                     primitive = np.int64(-1)
-                hits.first[i, 0], hits.first[i, 1] = t, ONE if caustic else ZERO
+                hits.first[i], hits.caustic[i] = t, caustic
                 hits.key[i] = rng.subkey(rays.key[first + i], CHAIN)
             hits.primitive[i], hits.distance[i] = primitive, t
         traced += follow_chains(scene, packet, hits.primitive, hits.distance, hits.throughput, hits.key)
@@ -298,7 +300,7 @@ def _land(scene, work, top, i, row, bound):
     Returns how many wait now, vertices lost for want of room.
     """
     at, hits = get(work.now, i), work.hits
-    distance, caustic = hits.first[i, 0], hits.first[i, 1] > ZERO
+    distance, caustic = hits.first[i], hits.caustic[i]
     layer = np.int64(CAUSTIC) if (at.depth == 0 and caustic) else at.layer
     primitive, arrived = hits.primitive[i], lane_direction(work.packet, i)
     weight = vec.row(hits.throughput, i)
