@@ -52,11 +52,16 @@ def _project(camera, window, work):
 
 
 @inline
-def _queue_splats(scene, camera, work, film, waiting):
-    """Let the vertices of a block that a pixel may see wait for a packet to the eye. Returns (waiting, rays traced)."""
+def _queue_splats(scene, work, drawing, drawn):
+    """Let the vertices of a block that a pixel may see wait for a packet to the eye.
+
+    drawing: camera, window, film; drawn, and returned: how many wait, rays traced to the eye.
+    """
+    camera, window, film = drawing
+    waiting, traced = drawn
+    _project(camera, window, work)
     words = work.view(np.int32)
     eye = vec.row(camera, 0)
-    traced = 0
     for i in range(LANES):
         slot = words[at.LIGHT + i]
         if slot < 0:
@@ -97,31 +102,15 @@ def trace_light_paths(scene, camera, work, queues, guide, window, seed, pass_ind
     multiple of `particle_waves.GROUP`. Returns rays traced.
     """
     traced = 0
-    corners = (window[0], window[1], window[2], window[3])
+    drawing = camera, (window[0], window[1], window[2], window[3]), film
     for group in range(first, last, waves.GROUP):
         end = min(last, group + waves.GROUP)
-        waiting, splats = 0, 0
+        waiting = 0
         for number in range(0, end - group, LANES):
             emit_guided(scene, work, guide, seed, rng.LIGHT_PATH, pass_index, group + number, end, number)
             for i in range(LANES):
                 put3(work, at.THROUGHPUT, i, vec.scale(get3(work, at.THROUGHPUT, i), share))
             waiting = waves.wait(work, queues[0], waiting)
-        wave = 0
-        while waiting > 0:
-            now, then = queues[wave & 1], queues[(wave + 1) & 1]
-            waves.fly(scene, work, now, waiting)
-            traced += waiting
-            going_on = 0
-            for block in range((waiting + LANES - 1) // LANES):
-                at.load_block(work, now, block)
-                specular, other, glossy = waves.meet(scene, work)
-                if wave > 0 and other > 0:
-                    _project(camera, corners, work)
-                    splats, rays = _queue_splats(scene, camera, work, film, splats)
-                    traced += rays
-                waves.scatter(scene, work, specular, other, glossy)
-                going_on = waves.wait(work, then, going_on)
-            waiting = going_on
-            wave += 1
-        traced += _splat(scene, work, film, splats)
+        (splats, eye_rays), rays = waves.walk(scene, work, queues, waiting, _queue_splats, drawing, (0, 0))
+        traced += rays + eye_rays + _splat(scene, work, film, splats)
     return traced

@@ -31,7 +31,32 @@ def particle_work() -> tuple[np.ndarray, np.ndarray]:
 
 
 @inline
-def fly(scene, work, queue, count):
+def walk(scene, work, queues, waiting, note, notebook, noted):
+    """Let the `waiting` rays of a group, those in the first queue, go on until none is left.
+
+    note(scene, work, notebook, noted): called for each block that has met non-specular surfaces, but for those that
+    particles come to straight from a light; returns what is noted now. Returns (noted, rays traced).
+    """
+    traced, wave = 0, 0
+    while waiting > 0:
+        now, then = queues[wave & 1], queues[(wave + 1) & 1]
+        _fly(scene, work, now, waiting)
+        traced += waiting
+        going_on = 0
+        for block in range((waiting + LANES - 1) // LANES):
+            at.load_block(work, now, block)
+            specular, other, glossy = _meet(scene, work)
+            if wave > 0 and other > 0:
+                noted = note(scene, work, notebook, noted)
+            _scatter(scene, work, specular, other, glossy)
+            going_on = wait(work, then, going_on)
+        waiting = going_on
+        wave += 1
+    return noted, traced
+
+
+@inline
+def _fly(scene, work, queue, count):
     """Trace the first `count` rays of a queue: DISTANCE and PRIMITIVE (-1: nothing) of what they hit."""
     words, waiting = work.view(np.int32), queue.view(np.int32)
     for block in range((count + LANES - 1) // LANES):
@@ -56,7 +81,7 @@ _ORIGIN, _DIRECTION, _DISTANCE, _PRIMITIVE, _FLUX, _KEY, _COUNTS = (
 
 
 @inline
-def meet(scene, work):
+def _meet(scene, work):
     """What the rays of a block have hit. Returns how many met a specular, a non-specular and a glossy surface.
 
     KIND is -1 where there is nothing; NORMAL of non-specular surfaces is on the side of arrival.
@@ -89,8 +114,8 @@ def meet(scene, work):
 
 
 @inline
-def scatter(scene, work, specular, other, glossy):
-    """Scatter a block, by the numbers that `meet` returned: the rays that go on, and their flux."""
+def _scatter(scene, work, specular, other, glossy):
+    """Scatter a block, by the numbers that `_meet` returned: the rays that go on, and their flux."""
     _draw(work)
     if specular > 0:
         stages.scatter(work)

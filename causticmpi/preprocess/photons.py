@@ -46,7 +46,7 @@ def _room(points: int) -> _Found:
 
 
 @inline
-def _note(work, found, count):
+def _note(scene, work, found, count):
     """Note the caustic points of a block that has met its surfaces. Returns how many the group has."""
     words = work.view(np.int32)
     for i in range(LANES):
@@ -100,24 +100,12 @@ def _shoot(scene, work, queues, seed, first, last, aim, points, stored, found):
     while first < last and stored < points.power.shape[0]:
         end = min(last, first + waves.GROUP)
         found.first[:] = -1
-        count, waiting = 0, 0
+        waiting = 0
         for number in range(0, end - first, LANES):
             emit_aimed(scene, work, aim, seed, rng.PHOTON, 0, first + number, end, number)
             waiting = waves.wait(work, queues[0], waiting)
-        wave = 0
-        while waiting > 0:
-            now, then = queues[wave & 1], queues[(wave + 1) & 1]
-            waves.fly(scene, work, now, waiting)
-            traced += waiting
-            going_on = 0
-            for block in range((waiting + LANES - 1) // LANES):
-                at.load_block(work, now, block)
-                specular, other, glossy = waves.meet(scene, work)
-                count = _note(work, found, count)
-                waves.scatter(scene, work, specular, other, glossy)
-                going_on = waves.wait(work, then, going_on)
-            waiting = going_on
-            wave += 1
+        count, rays = waves.walk(scene, work, queues, waiting, _note, found, 0)
+        traced += rays
         if count > found.next.shape[0]:
             return stored, first, traced, count
         stored, needed = _store(found, points, stored)
