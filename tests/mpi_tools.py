@@ -20,9 +20,9 @@ PROGRAMS = Path(__file__).resolve().parent / "mpi_programs"
 def require_mpi() -> None:
     """Skip the test if there is no MPI at all; a broken or unfitting one is a failure, not a reason to skip."""
     if importlib.util.find_spec("mpi4py") is None:
-        pytest.skip("no MPI: mpi4py is not installed (pip install 'causticmpi[mpi]')")
+        pytest.skip("no MPI: mpi4py is not installed (pip install '.[mpi]' in the clone)")
     if not launcher_candidates():
-        pytest.skip("no MPI: neither mpirun nor mpiexec found (pip install 'causticmpi[mpi]')")
+        pytest.skip("no MPI: neither mpirun nor mpiexec found (pip install '.[mpi]' in the clone)")
 
 
 @functools.cache

@@ -134,7 +134,7 @@ def test_launcher_without_mpi_is_refused(tmp_path: Path) -> None:
     env = python_environment() | {"PMI_SIZE": "2"}
     env["PYTHONPATH"] = f"{tmp_path}{os.pathsep}{env['PYTHONPATH']}"
     done = subprocess.run([sys.executable, "-c", program], env=env, capture_output=True, text=True, timeout=END)
-    assert "InputError" in done.stderr and "pip install 'causticmpi[mpi]'" in done.stderr, done.stderr
+    assert "InputError" in done.stderr and "pip install '.[mpi]' in the clone" in done.stderr, done.stderr
 
 
 def test_serial_start_loads_no_mpi() -> None:
@@ -195,7 +195,7 @@ def test_launch_ranks_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_launch_ranks_without_mpirun(monkeypatch: pytest.MonkeyPatch) -> None:
     require_mpi()
     monkeypatch.setattr("causticmpi.distributed.launch.launcher_candidates", lambda: [])
-    with pytest.raises(InputError, match=r"pip install 'causticmpi\[mpi\]'"):
+    with pytest.raises(InputError, match=r"pip install '\.\[mpi\]' in the clone"):
         launch_ranks(2, ["render"])
 
 

@@ -44,8 +44,8 @@ def test_radiance_is_the_third_partys(name: str, method: str) -> None:
 
 
 def test_the_third_party_still_says_so(tmp_path: Path) -> None:
-    """Render anew where the other renderer is installed: pip install 'causticmpi[peers]'."""
-    pytest.importorskip("mitsuba", reason="Mitsuba is not installed (pip install 'causticmpi[peers]')")
+    """Render anew where the other renderer is installed: pip install '.[peers]' in the clone."""
+    pytest.importorskip("mitsuba", reason="Mitsuba is not installed (pip install '.[peers]' in the clone)")
     program = Path(__file__).with_name("third_party.py")
     done = subprocess.run(
         [sys.executable, str(program), "--samples", "4096", "--seed", "2"],

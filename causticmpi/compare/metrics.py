@@ -95,7 +95,7 @@ def flip_missing() -> str | None:
     try:
         import flip_evaluator  # noqa: F401
     except ImportError:
-        return "FLIP is left out: the package flip-evaluator is not installed (pip install 'causticmpi[compare]')"
+        return "FLIP is left out: the package flip-evaluator is not installed (pip install '.[compare]' in the clone)"
     return None
 
 

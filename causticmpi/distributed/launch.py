@@ -19,7 +19,7 @@ FORWARDED = {
     signal.SIGHUP: signal.SIGTERM,  # the ranks are in a session of their own and would outlive the terminal
 }
 
-MEND = "pip install 'causticmpi[mpi]'"
+MEND = "pip install '.[mpi]' in the clone"
 
 
 def launch_ranks(count: int, argv: Sequence[str], program: Sequence[str] = ("-m", "causticmpi")) -> int | None:

@@ -247,8 +247,8 @@ def open_world(ranks_per_node: int | None = None) -> World:
     except (ImportError, RuntimeError) as error:  # no mpi4py, or mpi4py without a libmpi
         raise InputError(
             f"a launcher started {announced if size_known else 'several'} processes ({variable or 'PMIX_RANK'}), but "
-            f"MPI cannot be loaded ({str(error).splitlines()[0]}): pip install 'causticmpi[mpi]', or on a cluster pip "
-            "install mpi4py and set MPI4PY_LIBMPI to the site's libmpi.so.12"
+            f"MPI cannot be loaded ({str(error).splitlines()[0]}): pip install '.[mpi]' in the clone, or on a cluster "
+            "pip install mpi4py and set MPI4PY_LIBMPI to the site's libmpi.so.12"
         ) from error
     world = MpiWorld(ranks_per_node)
     if world.size == 1 and announced > 1:

@@ -74,7 +74,7 @@ def contenders(only: str) -> list[Contender]:
     for contender in found:
         for package in NEEDED[contender.module]:
             if find_spec(package) is None:
-                raise InputError(f"{contender.name} needs the package {package}: pip install 'causticmpi[peers]'")
+                raise InputError(f"{contender.name} needs the package {package}: pip install '.[peers]' in the clone")
     return found
 
 
