@@ -14,5 +14,10 @@ class InputError(Exception):
         super().__init__(where + " ".join(message.split()))
 
 
+def reason(error: Exception) -> str:
+    """What the system says of a file, for a message: one line without number and path."""
+    return " ".join((getattr(error, "strerror", None) or str(error)).lower().split())
+
+
 class RunError(Exception):
     """A run whose result could not be written: every rank knows, the root prints the line, exit code 1."""

@@ -21,7 +21,7 @@ def check(arguments: argparse.Namespace) -> int:
     config = load_config(arguments.config, overrides(arguments))
     scene = sound_scene(config, scene_path(arguments.config, config))
     check_directory(config.output.directory, force=True)
-    x0, y0, x1, y1 = config.film.crop or (0, 0, config.film.width, config.film.height)
+    x0, y0, x1, y1 = config.film.window
     photons = wanted_photons(config, scene)
     how = "forecast from {} photons" if config.method in FORECASTING else "from a map of {} photons"
     memory = memory_needed(config, scene)

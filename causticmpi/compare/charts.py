@@ -27,7 +27,7 @@ def require_matplotlib() -> None:
     try:
         import matplotlib  # noqa: F401
     except ImportError:
-        raise InputError("compare needs matplotlib for its charts: pip install 'causticmpi[compare]'") from None
+        raise InputError("compare needs matplotlib for its charts: pip install '.[compare]' in the clone") from None
 
 
 def colours(labels: Sequence[str]) -> dict[str, str]:
@@ -154,7 +154,7 @@ def _show_picture(cells: Sequence[Any], name: str, rgb: np.ndarray, result: Part
     cells[0].set_title(name, fontsize=10)
     shown = srgb_bytes(rgb)
     cells[0].imshow(shown, interpolation="antialiased")
-    left, top = (result.part.base.film.crop or (0, 0))[:2]
+    left, top = result.part.base.film.window[:2]
     for cell, (x0, y0, x1, y1) in zip(cells[1:], result.part.scene.closeups, strict=False):
         cell.imshow(shown[y0 - top : y1 - top, x0 - left : x1 - left], interpolation="nearest")
         frame = (x0 - left - 0.5, y0 - top - 0.5)
@@ -186,12 +186,12 @@ def budget_grid(result: PartResult) -> "Figure":
 
 
 def bias_grid(result: PartResult) -> "Figure":
-    """Signed relative error in the close-ups, one column per method, on one scale: noise averages out, bias stays."""
+    """Signed relative error in the close-ups, one column per method, one scale a row: bias does not average out."""
     from matplotlib.colors import Normalize
     from matplotlib.figure import Figure
 
     groups, closeups = result.longest, result.part.scene.closeups
-    left, top = (result.part.base.film.crop or (0, 0))[:2]
+    left, top = result.part.base.film.window[:2]
     heights = [_shape(closeup) for closeup in closeups]
     figure = Figure(
         figsize=(CELL * len(groups) + 1.0, CELL * sum(heights) + 0.3 * len(heights) + 0.6), layout="constrained"

@@ -184,8 +184,7 @@ def _make(world: World, tasks: Sequence[Task], command: tuple[str, ...], flag: S
 
 
 def _finish(task: Task, snapshots: Snapshots | None) -> None:
-    film = task.run.config.film
-    x0, y0, x1, y1 = film.crop or (0, 0, film.width, film.height)
+    x0, y0, x1, y1 = task.run.config.film.window
     if snapshots is not None:
         snapshots.write(task.run.directory / SNAPSHOTS, y1 - y0, x1 - x0)
     mark_finished(task.run, task.key)

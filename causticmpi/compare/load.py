@@ -168,7 +168,7 @@ class _Reader:
             raise self.source.error(keys, str(error)) from None
 
     def _check_closeups(self, keys: Keys, scene: Scene, base: RenderConfig) -> None:
-        x0, y0, x1, y1 = base.film.crop or (0, 0, base.film.width, base.film.height)
+        x0, y0, x1, y1 = base.film.window
         for i, (left, top, right, bottom) in enumerate(scene.closeups):
             if not (x0 <= left < right <= x1 and y0 <= top < bottom <= y1):
                 raise self.source.error(

@@ -14,8 +14,8 @@ from causticmpi.compare.files import read_layers, read_report
 from causticmpi.compare.load import batch_runs
 from causticmpi.compare.plan import Part, Plan, Run
 from causticmpi.compare.statistics import FEW_HITS, Agreement, agreement, block_means, rare_hits
-from causticmpi.errors import InputError
-from causticmpi.output.directory import write_whole
+from causticmpi.errors import InputError, reason
+from causticmpi.output.directory import EXR, write_whole
 from causticmpi.output.exr import write_exr
 from causticmpi.output.picture import Picture
 
@@ -57,7 +57,9 @@ def read_reference(directory: Path, part: Part, scene_hash: str) -> ReferencePic
             raise InputError(f"no reference there ({FACTS}): give the directory of one", directory) from None
         return None
     except (OSError, ValueError) as error:
-        raise InputError(f"cannot be read ({error}): remove it, it will be made again", directory / FACTS) from None
+        raise InputError(
+            f"cannot be read ({reason(error)}): remove it to have it made again", directory / FACTS
+        ) from None
     mend = "remove the directory, or name another one"
     if facts.get("scene_hash") != scene_hash:
         found, needed = str(facts.get("scene_hash"))[:12], scene_hash[:12]
@@ -139,7 +141,7 @@ def _merge(runs: Sequence[Run], block: int) -> tuple[Picture, int, np.ndarray]:
     means = []
     for run in runs:
         passes = int(read_report(run.directory)["passes"])
-        layers = read_layers(run.directory / "image.exr")
+        layers = read_layers(run.directory / EXR)
         means.append(block_means(layers.rgb, block))
         total += passes
         for name, layer, weight in (
@@ -149,7 +151,7 @@ def _merge(runs: Sequence[Run], block: int) -> tuple[Picture, int, np.ndarray]:
         ):
             sums[name] = sums.get(name, 0) + weight * layer
     rgb, caustic, variance = sums["rgb"] / total, sums["caustic"] / total, sums["variance"] / total**2
-    with OpenEXR.File(str(runs[0].directory / "image.exr"), separate_channels=True) as file:
+    with OpenEXR.File(str(runs[0].directory / EXR), separate_channels=True) as file:
         features = {name: channel.pixels.copy() for name, channel in file.channels().items()}
     film = runs[0].config.film
     picture = Picture(

@@ -36,6 +36,17 @@ class Film(Record):
     filter: Literal["box"] = "box"
     crop: tuple[Count, Count, Count, Count] | None = None
 
+    @property
+    def window(self) -> tuple[int, int, int, int]:
+        """[x0, y0, x1, y1], half open: the crop, or all of the film."""
+        return self.crop or (0, 0, self.width, self.height)
+
+    @property
+    def pixels(self) -> int:
+        """How many are rendered."""
+        x0, y0, x1, y1 = self.window
+        return (x1 - x0) * (y1 - y0)
+
 
 class Budget(Record):
     """Wall-clock time ("30s", "4min", "1h", or a number of seconds) or samples per pixel: one of them.

@@ -20,7 +20,7 @@ from yaml.reader import Reader
 from yaml.resolver import BaseResolver
 from yaml.scanner import Scanner
 
-from causticmpi.errors import InputError
+from causticmpi.errors import InputError, reason
 
 MAX_DEPTH = 16
 MAX_INTEGER = 2**64
@@ -65,7 +65,7 @@ def read_yaml(file: str | Path) -> YamlSource:
     try:
         raw = path.read_bytes()
     except (OSError, ValueError) as error:
-        raise InputError(f"cannot read: {_reason(error)}; give the path of a readable YAML file", path) from None
+        raise InputError(f"cannot read: {reason(error)}; give the path of a readable YAML file", path) from None
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -216,7 +216,3 @@ class _Plain:
         if not math.isfinite(number):
             raise self.fail(f"{name}: found {text[:40]}; allowed: finite numbers; write a finite one", line)
         return number
-
-
-def _reason(error: Exception) -> str:
-    return (getattr(error, "strerror", None) or str(error)).lower()

@@ -38,11 +38,9 @@ def estimate(config: RenderConfig, scene: SceneData) -> Estimate:
     watch = Stopwatch(from_now=True)
     prepared = share_scene(world, scene, config.watertight)
     film = config.film
-    window = film.crop or (0, 0, film.width, film.height)
     camera = camera_array(prepared.data.camera, film.width, film.height)
     method, _ = prepare_method(world, config, prepared, camera, watch)
     preparing = watch.elapsed()
-    slots = (window[2] - window[0]) * (window[3] - window[1])
-    per_pass = Batches(method, pixel_order(window, film.width), slots).pilot_seconds()
+    per_pass = Batches(method, pixel_order(film.window, film.width), film.pixels).pilot_seconds()
     prepared.embree.close()
     return Estimate(preparing, max(per_pass, 1e-9))

@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 
 from causticmpi.distributed.checkpoint import State
+from causticmpi.errors import reason
 from causticmpi.output.checkpoint import Checkpoint, save_checkpoint
 
 WRITE_SHARE = 0.05
@@ -98,9 +99,9 @@ class Keeper:
                 self._tell("gone", "the directory was removed while the run went on: it is made anew")
             write()
         except (OSError, RuntimeError) as error:  # OpenEXR raises the latter
-            self._failed[what] = _reason(error)
+            self._failed[what] = reason(error)
             if not last:
-                self._tell(what, f"the {what} cannot be written ({_reason(error)}): the run goes on and tries again")
+                self._tell(what, f"the {what} cannot be written ({reason(error)}): the run goes on and tries again")
             return False
         self._failed.pop(what, None)
         return True
@@ -118,7 +119,3 @@ class Keeper:
         if key not in self._told:
             self._told.add(key)
             print(f"causticmpi: warning: {self.directory}: {text}", file=sys.stderr, flush=True)
-
-
-def _reason(error: OSError | RuntimeError) -> str:
-    return " ".join((getattr(error, "strerror", None) or str(error)).lower().split())

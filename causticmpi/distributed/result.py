@@ -103,7 +103,7 @@ class Result:
 def make_picture(film: Film, parts: Sequence[Part], features: np.ndarray) -> Picture:
     """The picture of these sums (see render.film): the mean of the parts' means. features: (slots, 7) float32, as
     `Result` takes them."""
-    x0, y0, x1, y1 = film.crop or (0, 0, film.width, film.height)
+    x0, y0, x1, y1 = film.window
     shape = (y1 - y0, x1 - x0)
     resolved = [resolve(sums, passes) for sums, passes in parts]
     diffusive, caustic, variance = (np.mean(layer, axis=0).reshape(*shape, 3) for layer in zip(*resolved, strict=True))

@@ -68,22 +68,22 @@ class Run:
         if self.state is not None:
             watch.go_on_from(self.state.elapsed, self.state.stages)
         self.clock = BudgetClock(self.state)
-        window = config.film.crop or (0, 0, config.film.width, config.film.height)
-        slots = (window[2] - window[0]) * (window[3] - window[1])
         self.camera = camera_array(scene.data.camera, config.film.width, config.film.height)
-        self.pixels = pixel_order(window, config.film.width)
+        self.pixels = pixel_order(config.film.window, config.film.width)
         quantum = quantum_for(scene.brightest)
         light = traces_light(config) and has_specular(scene.data)
-        self.films = Films(world, slots, quantum, light, halves=config.budget.until is not None)
+        self.films = Films(world, config.film.pixels, quantum, light, halves=config.budget.until is not None)
         self.film, self.pending = self.films.merged, self.films.pending
         self.precision = Precision()
         self.until = None if config.budget.until is None else Until(float(config.budget.until))
         self.limit = float(config.budget.time) if config.budget.time is not None else None
         self.rounds = self.round_passes = 0
         self.stopped_by = 0
-        self.reserve = FIRST_WRITE + FIRST_WRITE_PER_PIXEL * slots + leaving.expected_seconds(world.node_size)
+        self.reserve = (
+            FIRST_WRITE + FIRST_WRITE_PER_PIXEL * config.film.pixels + leaving.expected_seconds(world.node_size)
+        )
         if claim is not None:
-            features = np.zeros((slots, 7), np.float32)
+            features = np.zeros((config.film.pixels, 7), np.float32)
             first_hits(scene.traced, self.camera, ray_buffer(), self.pixels, features)
             self.recorder = Recorder(world, given, scene, claim, watch, features)
             self.reserve += self.recorder.keeper.save_cost
@@ -99,7 +99,7 @@ class Run:
 
     def forecast(self) -> None:
         """The preprocess, on rank 0, and the workspace of the method on every rank."""
-        self._say("forecast")
+        self._say("preparing")
         method, forecasting = prepare_method(self.world, self.config, self.scene, self.camera, self.watch)
         self.batches = Batches(method, self.pixels, self.film.slots)
         if self.world.is_root:

@@ -41,7 +41,7 @@ class Scenery:
     def __init__(self, found: Findings) -> None:
         config, scene = found.config, found.scene
         film = config.film
-        window = film.crop or (0, 0, film.width, film.height)
+        window = film.window
         camera = camera_array(scene.data.camera, film.width, film.height)
         self.sight = Sight(scene.traced, camera, window, film.width)
         self.zoom = -(-LEAST_WIDTH // self.sight.width)

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from causticmpi.errors import reason
 from causticmpi.output.directory import write_whole
 
 CHECKPOINT, PREVIOUS = "checkpoint", "checkpoint.previous"
@@ -70,7 +71,7 @@ def read_checkpoint(path: Path) -> Checkpoint:
     except FileNotFoundError:
         raise
     except OSError as error:
-        raise DamagedError(f"{path}: cannot be read ({(error.strerror or str(error)).lower()})") from None
+        raise DamagedError(f"{path}: cannot be read ({reason(error)})") from None
     body = memoryview(content)[:-DIGEST]
     if len(content) < len(MAGIC) + LENGTH + DIGEST or hashlib.sha256(body).digest() != content[-DIGEST:]:
         raise DamagedError(f"{path}: truncated or altered, its checksum does not fit")

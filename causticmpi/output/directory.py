@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from causticmpi.errors import InputError
+from causticmpi.errors import InputError, reason
 from causticmpi.output.exr import AttributeValue, write_exr
 from causticmpi.output.picture import Picture
 from causticmpi.output.png import write_png
@@ -132,7 +132,7 @@ def _refuse_run(path: str | os.PathLike[str], force: bool, resume: bool) -> Path
         found = sorted(entry.name for pattern in (*RESULTS, *STATE) for entry in directory.glob(pattern))
         blocked = [name for name in found if name in RESULTS and (directory / name).is_dir()]
     except (OSError, ValueError) as error:
-        raise InputError(f"cannot be used ({_reason(error)}): {mend}", directory) from error
+        raise InputError(f"cannot be used ({reason(error)}): {mend}", directory) from error
     if blocked:
         raise InputError(f"{blocked[0]} is a directory there: remove it, or {mend}", directory)
     if found and not (force or resume):
@@ -167,13 +167,9 @@ def _try_writing(directory: Path) -> list[Path]:
             with contextlib.suppress(OSError):
                 parent.rmdir()
         raise InputError(
-            f"cannot be written to ({_reason(error)}): choose another directory with --out", directory
+            f"cannot be written to ({reason(error)}): choose another directory with --out", directory
         ) from error
     return made
-
-
-def _reason(error: OSError | ValueError) -> str:
-    return (getattr(error, "strerror", None) or str(error)).lower()
 
 
 def _sync(path: Path) -> None:

@@ -178,6 +178,7 @@ def _open_bar(stream: TextIO) -> Any:
 
 
 def clock(seconds: float) -> str:
+    """Seconds as m:ss, or h:mm:ss from an hour on."""
     minutes, rest = divmod(int(seconds + 0.5), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"

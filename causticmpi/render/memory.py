@@ -3,7 +3,7 @@
 import os
 from dataclasses import dataclass
 
-from causticmpi.config.records import Film, RenderConfig
+from causticmpi.config.records import RenderConfig
 from causticmpi.errors import InputError
 from causticmpi.render.film import CHANNELS, LIGHT_CHANNELS
 from causticmpi.render.methods import FORECASTING, traces_light
@@ -27,12 +27,6 @@ class Memory:
     node: float
 
 
-def pixels(film: Film) -> int:
-    """Pixels that are rendered: those of the crop, if there is one."""
-    x0, y0, x1, y1 = film.crop or (0, 0, film.width, film.height)
-    return (x1 - x0) * (y1 - y0)
-
-
 def wanted_photons(config: RenderConfig, scene: SceneData) -> int:
     """Caustic points that the method will collect in this scene; 0 for a method without."""
     if not has_specular(scene):
@@ -44,10 +38,10 @@ def wanted_photons(config: RenderConfig, scene: SceneData) -> int:
 
 def memory_needed(config: RenderConfig, scene: SceneData) -> Memory:
     """What this render will take, roughly."""
-    count = pixels(config.film)
+    pixels = config.film.pixels
     channels = CHANNELS + (LIGHT_CHANNELS if traces_light(config) and has_specular(scene) else 0)
-    rank = PROCESS_MB + count * 4 * 9 / MB + len(scene.triangles) * TRIANGLE_BYTES / MB  # films of one pass: float32
-    node = count * 2 * 8 * channels / MB  # merged and pending sums: float64
+    rank = PROCESS_MB + pixels * 4 * 9 / MB + len(scene.triangles) * TRIANGLE_BYTES / MB  # films of one pass: float32
+    node = pixels * 2 * 8 * channels / MB  # merged and pending sums: float64
     node += sum(getattr(scene, name).nbytes for name in scene.ARRAYS) / MB
     node += wanted_photons(config, scene) * PHOTON_BYTES / MB
     return Memory(rank, node)
@@ -61,7 +55,7 @@ def check_memory(config: RenderConfig, scene: SceneData) -> None:
         film = config.film
         photons = wanted_photons(config, scene)
         raise InputError(
-            f"found a film of {film.width} x {film.height} with {pixels(film)} pixels to render"
+            f"found a film of {film.width} x {film.height} with {film.pixels} pixels to render"
             f"{f' and {photons} photons' if photons else ''}, which need {(needed.rank + needed.node) / 1024:.0f} GB; "
             f"allowed: what fits the {there / 1024:.0f} GB of this machine; render parts by film.crop, or less"
         )

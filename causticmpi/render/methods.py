@@ -231,7 +231,7 @@ def make_method(
     return WeakSingularities(
         **common,
         maps=maps,
-        window=film.crop or (0, 0, film.width, film.height),
+        window=film.window,
         # Of the whole film, whatever the crop: a crop has the same samples.
         light_paths=int(guides.paths_per_pixel * film.width * film.height) if traces_light(config) else 0,
         caustics=config.method == "iws+cf",

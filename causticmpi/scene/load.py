@@ -32,8 +32,7 @@ def load_scene(path: str | Path) -> SceneData:
     try:
         check_camera(scene.camera)
     except InputError as error:
-        key = str(error).partition(":")[0]
-        raise _placed(source, ("camera", key) if key in ("eye", "target", "up") else ("camera",), error) from None
+        raise _placed(source, ("camera",), error) from None
     materials = MaterialTable()
     for name, value in scene.materials.items():
         keys: Keys = ("materials", name)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from causticmpi.errors import InputError
+from causticmpi.errors import InputError, reason
 from causticmpi.scene.generated.catalogue import generated_mesh
 from causticmpi.scene.geometry import Triangles, ZeroAreaError, as_float32, has_area
 from causticmpi.scene.records import Mesh
@@ -80,8 +80,7 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
     try:
         raw = path.read_bytes()
     except (OSError, ValueError) as error:
-        reason = (getattr(error, "strerror", None) or str(error)).lower()
-        raise InputError(f"file: cannot read {path}: {reason}; the path is relative to the scene file") from None
+        raise InputError(f"file: cannot read {path}: {reason(error)}; the path is relative to the scene file") from None
     # Late: only scenes with meshes pay for it.
     import trimesh
 
@@ -92,8 +91,8 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
         points = np.asarray(loaded.vertices, dtype=np.float64).reshape(-1, 3)
         faces = np.asarray(loaded.faces, dtype=np.int64).reshape(-1, 3)
     except Exception as error:  # trimesh raises whatever its parser happens to meet
-        reason = " ".join(str(error).split())[:120]
-        raise InputError(f"file: {path} is no readable mesh ({reason}); export it anew") from None
+        why = " ".join(str(error).split())[:120]
+        raise InputError(f"file: {path} is no readable mesh ({why}); export it anew") from None
     _check_complete(path, raw, len(faces))
     _check_usable(path, points, faces)
     return points, faces

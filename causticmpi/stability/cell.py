@@ -129,7 +129,7 @@ def set_up(scene_file: Path, config: RenderConfig, lie: str = "none") -> Bench:
         maps = share_maps(world, _lying_maps(config, data, lie))
         method = make_method(config, scene.traced, camera, maps, scene.extent)
     preprocess = time.process_time() - began
-    pixels = pixel_order(film.crop or (0, 0, film.width, film.height), film.width)
+    pixels = pixel_order(film.window, film.width)
     return Bench(scene, config, method, maps, preprocess, pixels)
 
 
