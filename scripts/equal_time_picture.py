@@ -23,7 +23,8 @@ def rendered(config: str, method: str, arguments: argparse.Namespace, folder: Pa
     command = [sys.executable, "-m", "causticmpi", "render", config, "--method", method, "--out", str(out)]
     subprocess.run([*command, "--time", arguments.time, "-j", str(arguments.ranks)], check=True)
     report = json.loads((out / "report.json").read_text())
-    caption = f"{METHODS[method]}: {report['spp']:.0f} spp, relMSE {report['estimated_relmse']:.2g}"
+    error = report["estimated_relmse"]  # None for a single pass
+    caption = f"{METHODS[method]}: {report['spp']:.0f} spp, relMSE {'unknown' if error is None else f'{error:.2g}'}"
     print(f"{config}: {caption}")
     image = Image.open(out / "image.png").convert("RGB")
     return image.resize((SIDE, SIDE * image.height // image.width)), caption

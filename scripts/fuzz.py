@@ -7,6 +7,7 @@ refusal with one line that leaves everything as it was, and the very bits of the
 anything else happened.
 """
 
+import argparse
 import collections
 import sys
 import tempfile
@@ -20,7 +21,11 @@ VERDICTS = ("refused", "another", "recovered", "the same", "wrong")
 
 
 def main() -> int:
-    cases, first = (int(word) for word in (sys.argv[1:] + ["500", "0"][len(sys.argv) - 1 :]))
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("cases", nargs="?", type=int, default=500, help="how many (500)")
+    parser.add_argument("first", nargs="?", type=int, default=0, help="number of the first (0)")
+    arguments = parser.parse_args()
+    cases, first = arguments.cases, arguments.first
     outcomes: list[Outcome] = []
     with tempfile.TemporaryDirectory(prefix="fuzz-") as folder:
         rig = Rig(Path(folder))
