@@ -128,7 +128,8 @@ def _describe_one(info: inspect.Type) -> str:
         case inspect.IntType() | inspect.FloatType():
             noun = "an integer" if isinstance(info, inspect.IntType) else "a number"
             limits = ((">", info.gt), (">=", info.ge), ("<", info.lt), ("<=", info.le))
-            bounds = " and ".join(f"{sign} {limit:g}" for sign, limit in limits if limit is not None)
+            form = "d" if isinstance(info, inspect.IntType) else "g"
+            bounds = " and ".join(f"{sign} {limit:{form}}" for sign, limit in limits if limit is not None)
             return f"{noun} {bounds}".rstrip()
         case inspect.TupleType(item_types=items):
             return f"a list of {len(items)}, each {_describe(items[0])}"
