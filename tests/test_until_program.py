@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from program_tools import compile_kernels, read_layers, read_report, render_here, render_mpi, rgb, words
+from program_tools import compile_kernels, read_layers, read_report, render_here, render_mpi, rgb, tree, words
 
 from causticmpi.cli.main import main
 from causticmpi.config.load import load_config
@@ -39,6 +39,11 @@ def test_a_run_until_an_error_is_not_resumed(tmp_path: Path, capsys: pytest.Capt
     command = words(out, *EASY, "--spp", "8", "--until", "1%", "--resume")
     assert main(command) == 2
     assert "cannot be resumed" in capsys.readouterr().err
+    for state in out.glob("checkpoint*"):  # as such a run leaves none; its picture stays
+        state.unlink()
+    before = tree(out)
+    assert main(command) == 2 and tree(out) == before
+    assert "cannot be resumed" in capsys.readouterr().err
 
 
 @pytest.mark.mpi
@@ -59,6 +64,7 @@ def test_bad_errors_are_refused(text: str, tmp_path: Path, capsys: pytest.Captur
 
 
 def test_needs_a_cap(tmp_path: Path) -> None:
+    (tmp_path / "a.yaml").touch()
     path = tmp_path / "config.yaml"
     path.write_text("scene: a.yaml\nbudget: {until: 1%, time: 4min}\n")
     assert load_config(path).budget.until == 0.01

@@ -12,7 +12,7 @@ from causticmpi.distributed.checkpoint import State, find_state, picture_is_of, 
 from causticmpi.distributed.clock import Stopwatch
 from causticmpi.distributed.world import World
 from causticmpi.errors import InputError
-from causticmpi.output.directory import UNFINISHED, Claim, check_directory, claim_directory
+from causticmpi.output.directory import EXR, UNFINISHED, Claim, check_directory, claim_directory
 from causticmpi.preprocess.aim import emission_aim
 from causticmpi.render.memory import check_memory
 from causticmpi.scene.content import with_camera
@@ -78,15 +78,15 @@ def _with_state(given: Input) -> Input:
     state, arrays, damaged = find_state(directory)
     for line in damaged:
         print(f"causticmpi: warning: {line}", file=sys.stderr)
-    if state is None:
-        print(f"causticmpi: {directory}: no {'usable ' if damaged else ''}checkpoint, starting afresh", file=sys.stderr)
-        return given
-    if config.budget.until is not None:
+    if config.budget.until is not None and (state is not None or (directory / EXR).exists()):
         raise InputError(
             "a run with budget.until cannot be resumed, for its checkpoint does not keep its halves apart; leave out "
             "until, or start anew with --force",
             directory,
         )
+    if state is None:
+        print(f"causticmpi: {directory}: no {'usable ' if damaged else ''}checkpoint, starting afresh", file=sys.stderr)
+        return given
     require_same_run(state, config, scene.content_hash, directory)
     return replace(given, state=state, sums=arrays["sums"])
 
