@@ -11,7 +11,7 @@ import numpy as np
 
 from causticmpi.kernels import particles, vec, warp
 from causticmpi.kernels.jit import inline
-from causticmpi.kernels.traced_scene import OFFSET, light_point, pick_light
+from causticmpi.kernels.traced_scene import OFFSET, is_sphere, light_point, pick_light
 from causticmpi.kernels.vec import ALMOST_ONE, ONE, ZERO
 
 
@@ -70,33 +70,28 @@ def emit(scene, guide, u, v, w, s, t):
     """
     light, _ = pick_light(scene, u)
     s, t, share = reshape(guide, group_of(light, scene, guide.rows.shape[0]), s, t)
-    p, n, offset, power, direction = emit_naturally(scene, light, v, w, s, t)
+    sphere = is_sphere(scene, light)
+    if sphere:
+        p, n, offset, direction = emit_from_sphere(scene, light, v, w, s, t)
+    else:
+        p, n, offset = light_point(scene, light, w, v)
+        direction = vec.to_world(warp.cosine_hemisphere(s, t), n)
+    power = vec.scale(vec.row(scene.light_radiance, light), ONE / scene.light_pdf[light])
     flux = vec.scale(power, particles.PARTICLE_FLUX * share)
-    if is_sphere(scene, light):  # the point hangs on the direction, and so on the guide
+    if sphere:  # the point hangs on the direction, and so on the guide
         power = vec.scale(power, share)
     return p, n, offset, power, direction, flux
 
 
 @inline
-def is_sphere(scene, light):
-    """Whether a light is a sphere: it has no edges."""
-    e1 = vec.row(scene.light_edge1, light)
-    return e1[0] == ZERO and e1[1] == ZERO and e1[2] == ZERO
+def emit_from_sphere(scene, light, v, w, s, t):
+    """A uniform point on a light that is a sphere and a direction of density cos / pi from it: p, n, offset, direction.
 
-
-@inline
-def emit_naturally(scene, light, v, w, s, t):
-    """A uniform point on a light and a direction of density cos / pi from it; returns as `emit`, without the flux."""
-    if is_sphere(scene, light):
-        # A sphere: first the direction, then a point that faces it, which is the same joint density.
-        surface = scene.light_surface[light]
-        direction = warp.uniform_sphere(s, t)
-        n = vec.to_world(warp.cosine_hemisphere(v, w), direction)
-        centre = vec.row(scene.light_corner, light)
-        p = vec.along(centre, n, surface[3])
-        offset = OFFSET * (max(abs(surface[0]), max(abs(surface[1]), abs(surface[2]))) + surface[3])
-    else:
-        p, n, offset = light_point(scene, light, w, v)
-        direction = vec.to_world(warp.cosine_hemisphere(s, t), n)
-    power = vec.scale(vec.row(scene.light_radiance, light), ONE / scene.light_pdf[light])
-    return p, n, offset, power, direction
+    First the direction, by the point s, t of the square, then a point that faces it, which is the same joint density.
+    """
+    surface = scene.light_surface[light]
+    direction = warp.uniform_sphere(s, t)
+    n = vec.to_world(warp.cosine_hemisphere(v, w), direction)
+    centre = vec.row(scene.light_corner, light)
+    p = vec.along(centre, n, surface[3])
+    return p, n, OFFSET * (max(abs(surface[0]), max(abs(surface[1]), abs(surface[2]))) + surface[3]), direction

@@ -12,7 +12,7 @@ from causticmpi.kernels import path_layout as at
 from causticmpi.kernels.embree import LANES, RAY16
 from causticmpi.kernels.jit import inline
 from causticmpi.kernels.path_layout import get3, put3
-from causticmpi.kernels.traced_scene import OFFSET, light_point
+from causticmpi.kernels.traced_scene import OFFSET, is_sphere, light_point
 from causticmpi.kernels.vec import ONE, ZERO
 
 
@@ -23,12 +23,10 @@ def emit_aimed(scene, work, aim, seed, purpose, pass_index, first, last, number)
     _emit_from_triangles(work)
     for i in range(LANES):
         light = work.view(np.int32)[at.LIGHT + i]
-        if emission.is_sphere(scene, light):
+        if is_sphere(scene, light):
             p, n, offset = light_point(scene, light, work[at.SURVIVE + i], work[at.LIGHT_V + i])
-            put3(work, at.POINT, i, p)
-            put3(work, at.NORMAL, i, n)
-            work[at.OFFSET + i] = offset
-            put3(work, RAY16 + 64, i, vec.to_world(warp.cosine_hemisphere(work[at.U + i], work[at.V + i]), n))
+            direction = vec.to_world(warp.cosine_hemisphere(work[at.U + i], work[at.V + i]), n)
+            _put_right(work, i, p, n, offset, direction)
     if aim[6] > ZERO:
         for i in range(LANES):
             p, n = get3(work, at.POINT, i), get3(work, at.NORMAL, i)
@@ -51,14 +49,11 @@ def emit_guided(scene, work, guide, seed, purpose, pass_index, first, last, numb
     _emit_from_triangles(work)
     for i in range(LANES):
         light = work.view(np.int32)[at.LIGHT + i]
-        if emission.is_sphere(scene, light):
-            p, n, offset, _, direction = emission.emit_naturally(
+        if is_sphere(scene, light):
+            p, n, offset, direction = emission.emit_from_sphere(
                 scene, light, work[at.LIGHT_V + i], work[at.SURVIVE + i], work[at.U + i], work[at.V + i]
             )
-            put3(work, at.POINT, i, p)
-            put3(work, at.NORMAL, i, n)
-            work[at.OFFSET + i] = offset
-            put3(work, RAY16 + 64, i, direction)
+            _put_right(work, i, p, n, offset, direction)
     _start(work)
 
 
@@ -101,6 +96,15 @@ def _emit_from_triangles(work):
         put3(work, at.POINT, i, p)
         work[at.OFFSET + i] = OFFSET * work[at.LIGHT_REACH + i]
         put3(work, RAY16 + 64, i, vec.to_world(warp.cosine_hemisphere(work[at.U + i], work[at.V + i]), n))
+
+
+@inline
+def _put_right(work, i, p, n, offset, direction):
+    """What `_emit_from_triangles` has put down for a lane whose light is a sphere."""
+    put3(work, at.POINT, i, p)
+    put3(work, at.NORMAL, i, n)
+    work[at.OFFSET + i] = offset
+    put3(work, RAY16 + 64, i, direction)
 
 
 @inline

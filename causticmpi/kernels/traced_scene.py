@@ -67,18 +67,24 @@ def hit_point(scene, primitive, origin, direction, t):
 
 
 @inline
+def is_sphere(scene, light):
+    """Whether a light is a sphere: it has no edges."""
+    e1 = vec.row(scene.light_edge1, light)
+    return e1[0] == ZERO and e1[1] == ZERO and e1[2] == ZERO
+
+
+@inline
 def light_point(scene, light, u, v):
     """Uniform point on light `light`: point, front normal, offset length. Density of the light: `scene.light_pdf`,
     the choice of the light included (area measure)."""
     s = scene.light_surface[light]
     corner = vec.row(scene.light_corner, light)
-    e1 = vec.row(scene.light_edge1, light)
-    if e1[0] == ZERO and e1[1] == ZERO and e1[2] == ZERO:
+    if is_sphere(scene, light):
         n = warp.uniform_sphere(u, v)
         reach = max(abs(s[0]), max(abs(s[1]), abs(s[2]))) + s[3]
         return vec.along(corner, n, s[3]), n, OFFSET * reach
     a, b = warp.triangle_barycentrics(u, v)
-    p = vec.along(vec.along(corner, e1, a), vec.row(scene.light_edge2, light), b)
+    p = vec.along(vec.along(corner, vec.row(scene.light_edge1, light), a), vec.row(scene.light_edge2, light), b)
     return p, (s[0], s[1], s[2]), OFFSET * s[3]
 
 
