@@ -18,7 +18,7 @@ from causticmpi.kernels import kdtree
 from causticmpi.kernels.embree import ray_buffer
 from causticmpi.kernels.jit import compiled_anew
 from causticmpi.kernels.pixels import pixel_order
-from causticmpi.preprocess import cells, directions, forecast, k_means, photon_map, photons, vector_quantization
+from causticmpi.preprocess import anchors, cells, directions, forecast, k_means, photon_map, photons, vector_quantization
 from causticmpi.preprocess import guides as guides_room
 from causticmpi.preprocess.forecast import ForecastMaps, build_forecast
 from causticmpi.preprocess.guides import learn_guides
@@ -41,6 +41,7 @@ KERNELS = [
     photons._shoot,
     guides_room._see_views,
     guides_room._shoot,
+    anchors._gather_at_anchors,
     cells._keys,
     cells._fill,
     light_tracing.trace_light_paths,

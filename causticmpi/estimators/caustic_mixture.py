@@ -13,14 +13,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from causticmpi.estimators.caustic_forecast import gather
 from causticmpi.kernels import bsdf, vec
 from causticmpi.kernels.embree import LANES
 from causticmpi.kernels.jit import inline
-from causticmpi.kernels.kdtree import MAX_DEPTH
 from causticmpi.kernels.material_kinds import DIFFUSE
 from causticmpi.kernels.vec import HALF, INV_TWO_PI, ONE, TWO, ZERO
 from causticmpi.kernels.warp import pick, turn, turns
+from causticmpi.preprocess.anchors import anchor_of
 from causticmpi.preprocess.cells import KEPT
 from causticmpi.preprocess.directions import COLUMNS, ROWS
 from causticmpi.preprocess.forecast import ForecastMaps, cluster_of
@@ -32,7 +31,7 @@ class MixtureWork(NamedTuple):
     photons (16, 4, n) float32: direction and power of each group's photons; count (16,); cone (16,) float32: cosine of
     the half angle; cluster (16,); group (16,): group of each lane, -1 out of use; weight, cdf (n,): weights of a group
     at one vertex, and their running sum.
-    codeword_distance (m,), distance, row (n,), stack, plane: search.
+    codeword_distance (m,): search.
     """
 
     photons: Any
@@ -43,10 +42,6 @@ class MixtureWork(NamedTuple):
     weight: Any
     cdf: Any
     codeword_distance: Any
-    distance: Any
-    row: Any
-    stack: Any
-    plane: Any
 
 
 def mixture_work(maps: ForecastMaps) -> MixtureWork:
@@ -61,25 +56,21 @@ def mixture_work(maps: ForecastMaps) -> MixtureWork:
         weight=np.zeros(n, np.float32),
         cdf=np.zeros(n, np.float32),
         codeword_distance=np.zeros(maps.codebook.shape[1], np.float32),
-        distance=np.zeros(n, np.float32),
-        row=np.zeros(n, np.int64),
-        stack=np.zeros(2 * MAX_DEPTH, np.int32),
-        plane=np.zeros(MAX_DEPTH, np.float32),
     )
 
 
 @inline
 def gather_group(maps, work, group, p, n):
-    """Gather the at most n nearest photons around p, for a group of lanes; none outside the ranked clusters."""
+    """Look up the at most n photons near p, for a group of lanes; none outside the ranked clusters."""
     cluster = cluster_of(maps, p, n, work.codeword_distance)
     k = 0
     if maps.rank[cluster] <= maps.max_rank:
-        k = gather(maps, work, cluster, p)
-    for i in range(k):
-        photon = work.row[i]
-        for c in range(3):
-            work.photons[group, c, i] = maps.direction[photon, c]
-        work.photons[group, 3, i] = maps.power[photon]
+        anchor = anchor_of(maps, cluster, p)
+        if anchor >= 0:
+            k = np.int64(maps.anchor_count[anchor])
+            for c in range(4):
+                for i in range(k):
+                    work.photons[group, c, i] = maps.anchor_photon[anchor, c, i]
     work.count[group] = k
     work.cone[group] = maps.cone[cluster]
     work.cluster[group] = cluster

@@ -123,6 +123,27 @@ def _offer(x, y, z, i, p, radius2, most, distance, row, found):
 
 
 @inline
+def run_of(x, y, z, axis, low, high, p, most):
+    """Walk down the tree over rows [low, high), not empty, to the run of at most `most` >= LEAF rows on whose side of
+    every plane p lies. Returns its rows (low, high)."""
+    a, b = np.int64(low), np.int64(high)
+    while b - a > most:
+        middle = (a + b) >> 1
+        k = axis[middle]
+        if k == 0:
+            gap = p[0] - x[middle]
+        elif k == 1:
+            gap = p[1] - y[middle]
+        else:
+            gap = p[2] - z[middle]
+        if gap < ZERO:
+            b = middle
+        else:
+            a = middle + 1
+    return a, b
+
+
+@inline
 def nearest(x, y, z, axis, low, high, p, radius2, most, distance, row, stack, plane):
     """The `most` nearest points to p within sqrt(radius2) of the tree over rows [low, high).
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from causticmpi.kernels import kdtree
 from causticmpi.kernels.jit import inline, kernel
+from causticmpi.preprocess.anchors import build_anchors, no_anchors
 from causticmpi.preprocess.cells import build_cells, cell_edge, no_cells
 from causticmpi.preprocess.directions import COLUMNS, ROWS, coarse_tables, cone_cosines
 from causticmpi.preprocess.k_means import k_means_codebook
@@ -29,6 +30,8 @@ class ForecastMaps(NamedTuple):
     x, y, z, power (k,) float32, direction (k, 3) float32, axis (k,) uint8: forecast photons in tree order
     coarse (m, bins) float32: running sums of each cluster's directions; cone (m,) float32: cosine of its cones' half
     angle (see directions.py)
+    anchor_start (m+1,) int64: the anchors of each cluster; anchor (anchors, 3), anchor_photon (anchors, 4, n): direction
+    and power of the photons nearest to each, float32; anchor_count (anchors,) int32: how many there are (see anchors.py)
     cell_size [scene units]; cell_key, cell_row (2^k,): hash table of occupied cells; cell_direction (cells, 3, KEPT),
     cell_cone (cells,) float32: their directions and the cosine of their cones' half angle (see cells.py)
     normal_scale, radius: scene units; columns, rows: bins of the directional tables; neighbours: n
@@ -45,6 +48,10 @@ class ForecastMaps(NamedTuple):
     axis: Any
     coarse: Any
     cone: Any
+    anchor_start: Any
+    anchor: Any
+    anchor_photon: Any
+    anchor_count: Any
     cell_size: float
     cell_key: Any
     cell_row: Any
@@ -167,7 +174,8 @@ def build_forecast(
     position = np.ascontiguousarray(points.position.T)
     kdtree.build_trees(position, start, order, axis, np.zeros(2 * kdtree.MAX_DEPTH, np.int64))
     x, y, z = position[:, order]
-    direction = points.direction[order]
+    direction, strength = points.direction[order], power[order].astype(np.float32)
+    photons_in_trees = (x, y, z), axis, direction
     maps = ForecastMaps(
         codebook=codebook,
         rank=rank,
@@ -176,10 +184,11 @@ def build_forecast(
         y=y,
         z=z,
         direction=direction,
-        power=power[order].astype(np.float32),
+        power=strength,
         axis=axis,
         coarse=coarse_tables(points.direction, power, cluster, count),
-        cone=cone_cosines((x, y, z), axis, direction, start, radius, neighbours),
+        cone=cone_cosines(*photons_in_trees, start, radius, neighbours),
+        **build_anchors(*photons_in_trees, strength, start, radius, neighbours),
         **build_cells(points.position, points.normal, points.direction, power, cell_edge(radius, neighbours)),
         normal_scale=scale,
         radius=radius,
@@ -208,6 +217,7 @@ def no_forecast(table: tuple[int, int] = (32, 16)) -> ForecastMaps:
         axis=np.empty(0, np.uint8),
         coarse=np.empty((0, COLUMNS * ROWS), np.float32),
         cone=floats,
+        **no_anchors(1),
         **no_cells(),
         normal_scale=1.0,
         radius=1.0,
