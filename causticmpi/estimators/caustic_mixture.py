@@ -22,23 +22,16 @@ from causticmpi.kernels.warp import pick, turn, turns
 from causticmpi.preprocess.anchors import anchor_of
 from causticmpi.preprocess.cells import KEPT
 from causticmpi.preprocess.directions import COLUMNS, ROWS
-from causticmpi.preprocess.forecast import ForecastMaps, cluster_of
+from causticmpi.preprocess.forecast import ForecastMaps
 
 
 class MixtureWork(NamedTuple):
-    """Workspace: what was gathered for the up to 16 groups of a tile.
-
-    photons (16, 4, n) float32: direction and power of each group's photons; count (16,); cone (16,) float32: cosine of
-    the half angle; cluster (16,); group (16,): group of each lane, -1 out of use; weight, cdf (n,): weights of a group
-    at one vertex, and their running sum.
-    codeword_distance (m,): search.
+    """Workspace: cluster, anchor (16,): of the first vertices of a tile, anchor -1 where no photons are near; weight,
+    cdf (n,): weights of an anchor's photons at one vertex, and their running sum; codeword_distance (m,): search.
     """
 
-    photons: Any
-    count: Any
-    cone: Any
     cluster: Any
-    group: Any
+    anchor: Any
     weight: Any
     cdf: Any
     codeword_distance: Any
@@ -46,42 +39,27 @@ class MixtureWork(NamedTuple):
 
 def mixture_work(maps: ForecastMaps) -> MixtureWork:
     """Workspace that fits the maps."""
-    n = maps.neighbours
     return MixtureWork(
-        photons=np.zeros((LANES, 4, n), np.float32),
-        count=np.zeros(LANES, np.int64),
-        cone=np.zeros(LANES, np.float32),
         cluster=np.zeros(LANES, np.int64),
-        group=np.zeros(LANES, np.int64),
-        weight=np.zeros(n, np.float32),
-        cdf=np.zeros(n, np.float32),
+        anchor=np.zeros(LANES, np.int64),
+        weight=np.zeros(maps.neighbours, np.float32),
+        cdf=np.zeros(maps.neighbours, np.float32),
         codeword_distance=np.zeros(maps.codebook.shape[1], np.float32),
     )
 
 
 @inline
-def gather_group(maps, work, group, p, n):
-    """Look up the at most n photons near p, for a group of lanes; none outside the ranked clusters."""
-    cluster = cluster_of(maps, p, n, work.codeword_distance)
-    k = 0
-    if maps.rank[cluster] <= maps.max_rank:
-        anchor = anchor_of(maps, cluster, p)
-        if anchor >= 0:
-            k = np.int64(maps.anchor_count[anchor])
-            for c in range(4):
-                for i in range(k):
-                    work.photons[group, c, i] = maps.anchor_photon[anchor, c, i]
-    work.count[group] = k
-    work.cone[group] = maps.cone[cluster]
-    work.cluster[group] = cluster
+def photons_near(maps, cluster, p):
+    """The anchor whose photons steer at p, in a cluster; -1 for none, as outside the ranked clusters."""
+    return anchor_of(maps, cluster, p) if maps.rank[cluster] <= maps.max_rank else np.int64(-1)
 
 
 @inline
-def weigh_fine(scene, work, group, n, wo, material):
-    """Weigh a group's photons by power, BRDF and cosine at one vertex. Returns their sum, 0 where none counts."""
-    count = work.count[group]
-    x, y, z = work.photons[group, 0], work.photons[group, 1], work.photons[group, 2]
-    power = work.photons[group, 3]
+def weigh_fine(scene, maps, work, anchor, n, wo, material):
+    """Weigh an anchor's photons by power, BRDF and cosine at one vertex. Returns their sum, 0 where none counts."""
+    count = maps.anchor_count[anchor]
+    photons = maps.anchor_photon[anchor]
+    x, y, z, power = photons[0], photons[1], photons[2], photons[3]
     for i in range(count):
         work.weight[i] = max(ZERO, n[0] * x[i] + n[1] * y[i] + n[2] * z[i]) * power[i]
     if scene.kind[material] != DIFFUSE:
@@ -106,22 +84,23 @@ def _in_cone(axis, height, u, v):
 
 
 @inline
-def sample_fine(work, group, total, choice, u, v):
+def sample_fine(maps, work, cluster, anchor, total, choice, u, v):
     """Uniform direction in the cone around a photon chosen by weight; total > 0. It may lie below the horizon."""
-    i = pick(work.cdf[: work.count[group]], choice * total)
-    axis = (work.photons[group, 0, i], work.photons[group, 1, i], work.photons[group, 2, i])
-    return _in_cone(axis, ONE - work.cone[group], u, v)
+    i = pick(work.cdf[: maps.anchor_count[anchor]], choice * total)
+    axis = (maps.anchor_photon[anchor, 0, i], maps.anchor_photon[anchor, 1, i], maps.anchor_photon[anchor, 2, i])
+    return _in_cone(axis, ONE - maps.cone[cluster], u, v)
 
 
 @inline
-def fine_pdf(work, group, total, direction):
+def fine_pdf(maps, work, cluster, anchor, total, direction):
     """Density of `sample_fine`."""
     if total <= ZERO:
         return ZERO
-    height = ONE - work.cone[group]
-    x, y, z = work.photons[group, 0], work.photons[group, 1], work.photons[group, 2]
+    height = ONE - maps.cone[cluster]
+    photons = maps.anchor_photon[anchor]
+    x, y, z = photons[0], photons[1], photons[2]
     inside = ZERO
-    for i in range(work.count[group]):
+    for i in range(maps.anchor_count[anchor]):
         a, b, c = x[i] - direction[0], y[i] - direction[1], z[i] - direction[2]
         # By the chord, 2 (1 - cosine): a comparison of cosines would lose samples of narrow cones to rounding.
         inside += work.weight[i] if a * a + b * b + c * c <= TWO * height else ZERO

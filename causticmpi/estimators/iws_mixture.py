@@ -29,28 +29,27 @@ DEEP_RAYS = 2
 
 
 @inline
-def _gather_for_tile(maps, work):
-    """Gather photons for the first vertices of a tile: lanes close to a lane served before share its photons."""
+def _foresee_tile(maps, work):
+    """Find cluster and anchor of the first vertices of a tile: lanes close to one before them share its cluster."""
     packet, near = work.packet, work.forecast
     reach2 = np.float32(0.25) * np.float32(maps.radius) * np.float32(maps.radius)
-    groups = 0
     for i in range(LANES):
-        near.group[i] = -1
+        near.cluster[i] = -1
     for i in range(LANES):
-        if work.lane[i, 3] == ZERO or work.lane[i, 4] > ZERO or near.group[i] >= 0:
+        if work.lane[i, 3] == ZERO or work.lane[i, 4] > ZERO or near.cluster[i] >= 0:
             continue
         p = (packet[ws.POINT + i], packet[ws.POINT + 16 + i], packet[ws.POINT + 32 + i])
         n = (packet[ws.NORMAL + i], packet[ws.NORMAL + 16 + i], packet[ws.NORMAL + 32 + i])
-        cm.gather_group(maps, near, groups, p, n)
+        cluster = np.int64(cluster_of(maps, p, n, near.codeword_distance))
         for j in range(i, LANES):
-            if work.lane[j, 3] == ZERO or work.lane[j, 4] > ZERO or near.group[j] >= 0:
+            if work.lane[j, 3] == ZERO or work.lane[j, 4] > ZERO or near.cluster[j] >= 0:
                 continue
             q = (packet[ws.POINT + j], packet[ws.POINT + 16 + j], packet[ws.POINT + 32 + j])
             m = (packet[ws.NORMAL + j], packet[ws.NORMAL + 16 + j], packet[ws.NORMAL + 32 + j])
             d = vec.sub(q, p)
             if vec.dot(d, d) <= reach2 and vec.dot(n, m) > np.float32(0.9):
-                near.group[j] = groups
-        groups += 1
+                near.cluster[j] = cluster
+                near.anchor[j] = cm.photons_near(maps, cluster, q)
 
 
 @inline
@@ -94,9 +93,8 @@ def _send_first(scene, work, maps, i):
     """The rays of first vertex i."""
     at = get(work.now, i)
     near = work.forecast
-    group = near.group[i]
-    cluster = near.cluster[group]
-    fine_total = cm.weigh_fine(scene, near, group, at.n, at.wo, at.material)
+    cluster, anchor = near.cluster[i], near.anchor[i]
+    fine_total = cm.weigh_fine(scene, maps, near, anchor, at.n, at.wo, at.material) if anchor >= 0 else ZERO
     fine = splitting(maps, maps.rank[cluster], 0) if fine_total > ZERO else 0
     cell = cell_of(maps, at.p, at.n) if fine == 0 else np.int64(-1)
     steered = fine if fine > 0 else np.int64(cell >= 0)
@@ -110,7 +108,7 @@ def _send_first(scene, work, maps, i):
             direction = cm.sample_coarse(maps, cluster, choice, u, v)
         elif fine > 0:
             stratum = (np.float32(j - 2) + choice) / np.float32(fine)
-            direction = cm.sample_fine(near, group, fine_total, min(ALMOST_ONE, stratum), u, v)
+            direction = cm.sample_fine(maps, near, cluster, anchor, fine_total, min(ALMOST_ONE, stratum), u, v)
         else:
             direction = cm.sample_cell(maps, cell, choice, u, v)
         if vec.dot(at.n, direction) <= ZERO:
@@ -118,7 +116,7 @@ def _send_first(scene, work, maps, i):
         brdf = bsdf.pdf(scene, at.material, at.n, at.wo, direction)
         density = brdf + cm.coarse_pdf(maps, cluster, direction)
         if fine > 0:
-            density += np.float32(fine) * cm.fine_pdf(near, group, fine_total, direction)
+            density += np.float32(fine) * cm.fine_pdf(maps, near, cluster, anchor, fine_total, direction)
         elif cell >= 0:
             density += cm.cell_pdf(maps, cell, direction)
         _send(scene, work, i, j, at, direction, density, survive, ray_key)
@@ -142,7 +140,7 @@ def trace_iws_mixture(
         traced += rays
         if used > 0:
             traced += fr.gather_lights(scene, work, lights, count, bound)
-            _gather_for_tile(maps, work)
+            _foresee_tile(maps, work)
             for i in range(LANES):
                 if work.lane[i, 3] == ZERO:
                     continue
