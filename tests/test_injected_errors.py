@@ -137,7 +137,10 @@ MIXTURE_ERRORS = {
         ("density = brdf + cm.coarse_pdf", "density = cm.coarse_pdf"),
     ],
     "no fine density": [  # cones are sampled but the other samplers' weights know nothing of it
-        ("density += np.float32(fine) * cm.fine_pdf(near, group, fine_total, direction)", "density += ZERO"),
+        (
+            "density += np.float32(fine) * cm.fine_pdf(maps, near, cluster, anchor, fine_total, direction)",
+            "density += ZERO",
+        ),
     ],
 }
 

@@ -1,17 +1,19 @@
-"""Cones around gathered photons: the sampler follows its density; lanes of a tile share photons only when close."""
+"""Cones around the photons of an anchor: the sampler follows its density; lanes of a tile share a cluster only when
+close."""
 
 import naive
 import numba
 import numpy as np
 import pytest
 from chi_square import SAMPLES, SphereCells, p_value, sidak, uniform_p_value
+from test_anchors import naive_anchor
 from test_forecast import build, caustic_points
 from test_kernels_bsdf import MATERIALS, materials
 
 from causticmpi.estimators import caustic_mixture as cm
 from causticmpi.estimators import weak_singularities as ws
 from causticmpi.estimators.full_radiance import PassWork, pass_work
-from causticmpi.estimators.iws_mixture import _gather_for_tile
+from causticmpi.estimators.iws_mixture import _foresee_tile
 from causticmpi.kernels import vec
 from causticmpi.kernels.material_kinds import PHONG
 from causticmpi.preprocess.forecast import ForecastMaps, no_forecast
@@ -19,8 +21,8 @@ from causticmpi.preprocess.forecast import ForecastMaps, no_forecast
 NORMAL = naive.unit([-0.4, 0.2, 0.6]).astype(np.float32)
 OUT = naive.unit([0.1, 0.9, 0.8]).astype(np.float32)
 DIFFUSE, SOFT, SHARP = 0, 2, 3
-GROUP = 5
-"""The fine sampler is tested in one of the 16 groups; its neighbours hold rubbish."""
+ANCHOR, CLUSTER = 5, 2
+"""The fine sampler is tested at one of 16 anchors, in one of 4 clusters; the others hold rubbish."""
 FINE_CASES = [
     # material, photons, of them below the horizon, their spread, half angle of the cones in degrees
     (DIFFUSE, 1, 0, 0.0, 30.0),
@@ -39,25 +41,25 @@ STRAY = 1e-5
 
 
 @numba.njit
-def run_weigh(scene, work, group, n, wo, material):
-    return cm.weigh_fine(scene, work, group, vec.row(n, 0), vec.row(wo, 0), material)
+def run_weigh(scene, maps, work, n, wo, material):
+    return cm.weigh_fine(scene, maps, work, ANCHOR, vec.row(n, 0), vec.row(wo, 0), material)
 
 
 @numba.njit
-def run_sample_fine(work, group, total, u, out):
+def run_sample_fine(maps, work, total, u, out):
     for i in range(u.shape[0]):
-        out[i, 0], out[i, 1], out[i, 2] = cm.sample_fine(work, group, total, u[i, 0], u[i, 1], u[i, 2])
+        out[i, 0], out[i, 1], out[i, 2] = cm.sample_fine(maps, work, CLUSTER, ANCHOR, total, u[i, 0], u[i, 1], u[i, 2])
 
 
 @numba.njit
-def run_fine_pdf(work, group, total, direction, out):
+def run_fine_pdf(maps, work, total, direction, out):
     for i in range(direction.shape[0]):
-        out[i] = cm.fine_pdf(work, group, total, vec.row(direction, i))
+        out[i] = cm.fine_pdf(maps, work, CLUSTER, ANCHOR, total, vec.row(direction, i))
 
 
 @numba.njit
-def run_gather(maps, work):
-    _gather_for_tile(maps, work)
+def run_foresee(maps, work):
+    _foresee_tile(maps, work)
 
 
 def photons(count: int, below: int, spread: float) -> tuple[np.ndarray, np.ndarray]:
@@ -68,15 +70,14 @@ def photons(count: int, below: int, spread: float) -> tuple[np.ndarray, np.ndarr
     return (direction * sign[:, None]).astype(np.float32), generator.exponential(size=count).astype(np.float32) ** 2
 
 
-def gathered(direction: np.ndarray, power: np.ndarray, degrees: float) -> cm.MixtureWork:
-    work = cm.mixture_work(no_forecast()._replace(neighbours=max(1, len(power)), codebook=np.zeros((6, 1), np.float32)))
-    work.photons[:] = 7.0
-    work.count[:] = len(power)
-    work.cone[:] = 0.5
-    work.photons[GROUP, :3, : len(power)] = direction.T
-    work.photons[GROUP, 3, : len(power)] = power
-    work.count[GROUP], work.cone[GROUP] = len(power), np.cos(np.radians(degrees))
-    return work
+def gathered(direction: np.ndarray, power: np.ndarray, degrees: float) -> tuple[ForecastMaps, cm.MixtureWork]:
+    neighbours = max(1, len(power))
+    near = np.full((16, 4, neighbours), 7.0, np.float32)
+    near[ANCHOR, :3, : len(power)], near[ANCHOR, 3, : len(power)] = direction.T, power
+    count, cone = np.full(16, neighbours, np.int32), np.full(4, 0.5, np.float32)
+    count[ANCHOR], cone[CLUSTER] = len(power), np.cos(np.radians(degrees))
+    maps = no_forecast()._replace(neighbours=neighbours, anchor_photon=near, anchor_count=count, cone=cone)
+    return maps, cm.mixture_work(maps)
 
 
 def naive_weights(material: int, direction: np.ndarray, power: np.ndarray) -> np.ndarray:
@@ -92,8 +93,8 @@ def naive_weights(material: int, direction: np.ndarray, power: np.ndarray) -> np
 @pytest.mark.parametrize("material", [DIFFUSE, SOFT, SHARP])
 def test_fine_weights(material: int) -> None:
     direction, power = photons(50, 10, 0.6)
-    work = gathered(direction, power, 5)
-    total = run_weigh(materials(), work, GROUP, NORMAL[None], OUT[None], material)
+    maps, work = gathered(direction, power, 5)
+    total = run_weigh(materials(), maps, work, NORMAL[None], OUT[None], material)
     expected = naive_weights(material, direction, power)
     assert (expected[:10] == 0).all() and (expected[10:] > 0).all()
     np.testing.assert_allclose(np.diff(work.cdf, prepend=0), expected, atol=2e-6 * expected.sum())
@@ -105,10 +106,10 @@ def test_fine_weights(material: int) -> None:
 def test_fine_sampler(case: tuple[int, int, int, float, float]) -> None:
     material, count, below, spread, degrees = case
     direction, power = photons(count, below, spread)
-    work = gathered(direction, power, degrees)
-    total = run_weigh(materials(), work, GROUP, NORMAL[None], OUT[None], material)
+    maps, work = gathered(direction, power, degrees)
+    total = run_weigh(materials(), maps, work, NORMAL[None], OUT[None], material)
     sampled = np.empty((SAMPLES, 3), np.float32)
-    run_sample_fine(work, GROUP, total, np.random.default_rng(5).random((SAMPLES, 3), np.float32), sampled)
+    run_sample_fine(maps, work, total, np.random.default_rng(5).random((SAMPLES, 3), np.float32), sampled)
     used = direction[naive_weights(material, direction, power) > 0].astype(np.float64)
     axis = naive.unit(used.mean(axis=0))
     reach = np.arccos(min(1.0, (used @ axis).min())) + np.radians(1.01 * degrees)
@@ -117,7 +118,7 @@ def test_fine_sampler(case: tuple[int, int, int, float, float]) -> None:
     cells = SphereCells(axis, np.unique(np.concatenate([[-1.0], heights[:-1], [1.0]])))
     centres, _ = cells.quadrature(64)
     density = np.empty(len(centres), np.float32)
-    run_fine_pdf(work, GROUP, total, centres.astype(np.float32), density)
+    run_fine_pdf(maps, work, total, centres.astype(np.float32), density)
     expected = cells.integrate(density, 64)
     assert expected.sum() == pytest.approx(1, abs=1e-3)
     expected /= expected.sum()
@@ -138,13 +139,13 @@ def test_narrow_cones(degrees: float) -> None:
     shares, lost = [], 0.0
     for axis in naive.unit(generator.normal(size=(AXES, 3))).astype(np.float32):
         axis *= np.sign(axis @ NORMAL)
-        work = gathered(axis[None], np.ones(1, np.float32), degrees)
-        total = run_weigh(materials(), work, GROUP, NORMAL[None], OUT[None], DIFFUSE)
+        maps, work = gathered(axis[None], np.ones(1, np.float32), degrees)
+        total = run_weigh(materials(), maps, work, NORMAL[None], OUT[None], DIFFUSE)
         sampled, density = np.empty((SAMPLES // AXES, 3), np.float32), np.empty(SAMPLES // AXES, np.float32)
-        run_sample_fine(work, GROUP, total, generator.random((len(sampled), 3), np.float32), sampled)
-        run_fine_pdf(work, GROUP, total, sampled, density)
+        run_sample_fine(maps, work, total, generator.random((len(sampled), 3), np.float32), sampled)
+        run_fine_pdf(maps, work, total, sampled, density)
         chord = naive.unit(sampled) - naive.unit(axis)
-        shares.append((chord**2).sum(axis=1) / (2 * (1 - float(work.cone[GROUP]))))
+        shares.append((chord**2).sum(axis=1) / (2 * (1 - float(maps.cone[CLUSTER]))))
         lost += (density == 0).mean() / AXES
     p = uniform_p_value(np.clip(np.concatenate(shares), 0, 1 - 1e-9), 32)
     print(f"\n{degrees} degrees: {lost:.2e} without density, p of the radius {p:.3g}")
@@ -152,17 +153,17 @@ def test_narrow_cones(degrees: float) -> None:
     assert p > sidak(COMPARISONS)
 
 
-def test_group_without_usable_photons() -> None:
-    """No photon at all, all below the horizon, or no power: no weight, no density; nothing of the other groups."""
+def test_anchor_without_usable_photons() -> None:
+    """No photon at all, all below the horizon, or no power: no weight, no density; nothing of the other anchors."""
     direction, power = photons(20, 20, 0.3)
-    for work in (
+    for maps, work in (
         gathered(direction[:0], power[:0], 5),
         gathered(direction, power, 5),
         gathered(-direction, 0 * power, 5),
     ):
-        total = run_weigh(materials(), work, GROUP, NORMAL[None], OUT[None], SOFT)
+        total = run_weigh(materials(), maps, work, NORMAL[None], OUT[None], SOFT)
         density = np.full(20, np.nan, np.float32)
-        run_fine_pdf(work, GROUP, total, direction, density)
+        run_fine_pdf(maps, work, total, direction, density)
         assert total == 0 and (density == 0).all()
 
 
@@ -172,13 +173,13 @@ def tile(maps: ForecastMaps, p: np.ndarray, n: np.ndarray, used: np.ndarray) -> 
         for c in range(3):
             work.packet[ws.POINT + 16 * c + i], work.packet[ws.NORMAL + 16 * c + i] = p[i, c], n[i, c]
         work.lane[i, 3] = used[i]
-    run_gather(maps, work)
+    run_foresee(maps, work)
     return work
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_lanes_share_photons_only_when_close(seed: int) -> None:
-    """A lane joins the first earlier lane within half a radius whose normal is alike, else it gathers for itself."""
+def test_lanes_share_a_cluster_only_when_close(seed: int) -> None:
+    """A lane joins the first earlier lane within half a radius whose normal is alike, else it asks for itself."""
     points = caustic_points(3000)
     maps, _, _ = build(points)
     generator = np.random.default_rng(seed)
@@ -187,29 +188,21 @@ def test_lanes_share_photons_only_when_close(seed: int) -> None:
     used = (generator.random(16) < 0.8).astype(np.float32)
     p, n = p.astype(np.float32), n.astype(np.float32)
     work = tile(maps, p, n, used).forecast
-    expected, leaders = np.full(16, -1), []
+    leaders: list[int] = []
     for i in np.flatnonzero(used):
-        close = [
-            g for g, j in enumerate(leaders) if np.linalg.norm(p[i] - p[j]) <= maps.radius / 2 and n[i] @ n[j] > 0.9
-        ]
-        expected[i] = close[0] if close else len(leaders)
+        close = [j for j in leaders if np.linalg.norm(p[i] - p[j]) <= maps.radius / 2 and n[i] @ n[j] > 0.9]
+        leader = close[0] if close else i
         leaders += [] if close else [i]
-    assert np.array_equal(work.group, expected) and 1 < len(leaders) < used.sum()
-    for g, leader in enumerate(leaders):
         feature = np.concatenate([p[leader], n[leader] * maps.normal_scale])
         cluster = int(((maps.codebook.T - feature) ** 2).sum(axis=1).argmin())
-        low, high = maps.start[cluster], maps.start[cluster + 1]
-        d2 = ((np.stack([maps.x, maps.y, maps.z], axis=1)[low:high] - p[leader]) ** 2).sum(axis=1)
-        near = np.argsort(d2)[: maps.neighbours]
-        near = near[d2[near] < maps.radius**2]
-        assert work.cluster[g] == cluster and work.cone[g] == maps.cone[cluster] and work.count[g] == len(near)
-        got = np.sort(work.photons[g, 3, : len(near)])
-        assert np.array_equal(got, np.sort(maps.power[low:high][near]))
+        assert work.cluster[i] == cluster
+        assert work.anchor[i] == naive_anchor(maps, cluster, p[i])
+    assert (work.cluster[used == 0] == -1).all() and 1 < len(leaders) < used.sum()
 
 
-def test_clusters_of_a_high_rank_are_not_gathered_from() -> None:
+def test_clusters_of_a_high_rank_are_not_asked() -> None:
     points = caustic_points(3000)
     maps, _, _ = build(points)
     p, n = np.repeat(points.position[:1], 16, axis=0), np.repeat(points.normal[:1], 16, axis=0)
-    assert tile(maps, p, n, np.ones(16)).forecast.count[0] > 0
-    assert tile(maps._replace(max_rank=-1), p, n, np.ones(16)).forecast.count[0] == 0
+    assert (tile(maps, p, n, np.ones(16)).forecast.anchor >= 0).all()
+    assert (tile(maps._replace(max_rank=-1), p, n, np.ones(16)).forecast.anchor == -1).all()

@@ -18,7 +18,16 @@ from causticmpi.kernels import kdtree
 from causticmpi.kernels.embree import ray_buffer
 from causticmpi.kernels.jit import compiled_anew
 from causticmpi.kernels.pixels import pixel_order
-from causticmpi.preprocess import anchors, cells, directions, forecast, k_means, photon_map, photons, vector_quantization
+from causticmpi.preprocess import (
+    anchors,
+    cells,
+    directions,
+    forecast,
+    k_means,
+    photon_map,
+    photons,
+    vector_quantization,
+)
 from causticmpi.preprocess import guides as guides_room
 from causticmpi.preprocess.forecast import ForecastMaps, build_forecast
 from causticmpi.preprocess.guides import learn_guides

@@ -5,7 +5,7 @@ the whole mixture (caustic_mixture), a hit on D is compensation, a hit on S a ca
 or, where photons are thin, one from its cell, one coarse and one BRDF ray; deeper vertices have one coarse or
 BRDF ray by chance and DEEP_RAYS from their cell. Where light tracing draws the caustics of the first
 vertex, only the compensation is left of all this.
-Photons are gathered once for the vertices of a tile that lie close together: a forecast is only a pdf.
+The photons of the nearest anchor steer a vertex (preprocess.anchors): a forecast is only a pdf.
 """
 
 import math

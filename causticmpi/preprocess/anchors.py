@@ -32,7 +32,23 @@ def anchor_of(maps, cluster, p):
 
 @kernel
 def _gather_at_anchors(
-    x, y, z, axis, direction, power, start, anchor_start, radius2, anchor, photon, count, distance, row, stack, plane, runs
+    x,
+    y,
+    z,
+    axis,
+    direction,
+    power,
+    start,
+    anchor_start,
+    radius2,
+    anchor,
+    photon,
+    count,
+    distance,
+    row,
+    stack,
+    plane,
+    runs,
 ):
     """Fill anchor (anchors, 3), photon (anchors, 4, n) and count (anchors,) from trees over the photons.
 

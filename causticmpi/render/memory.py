@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from causticmpi.config.records import RenderConfig
 from causticmpi.errors import InputError
+from causticmpi.preprocess.anchors import SHORTEST
 from causticmpi.render.film import CHANNELS, LIGHT_CHANNELS
 from causticmpi.render.methods import FORECASTING, traces_light
 from causticmpi.scene.content import has_specular
@@ -13,6 +14,8 @@ from causticmpi.scene.data import SceneData
 MB = 2.0**20
 PHOTON_BYTES = 3 * 40
 """Per photon and node: forecast maps, with overlaps of the clusters; a photon map takes less."""
+NEIGHBOUR_BYTES = 3 * 16 / SHORTEST
+"""The same for each neighbour that its anchor knows."""
 TRIANGLE_BYTES = 150
 """Of Embree's tree, which each rank has."""
 PROCESS_MB = 150
@@ -43,7 +46,8 @@ def memory_needed(config: RenderConfig, scene: SceneData) -> Memory:
     rank = PROCESS_MB + pixels * 4 * 9 / MB + len(scene.triangles) * TRIANGLE_BYTES / MB  # films of one pass: float32
     node = pixels * 2 * 8 * channels / MB  # merged and pending sums: float64
     node += sum(getattr(scene, name).nbytes for name in scene.ARRAYS) / MB
-    node += wanted_photons(config, scene) * PHOTON_BYTES / MB
+    photon = PHOTON_BYTES + config.forecast.neighbours * NEIGHBOUR_BYTES
+    node += wanted_photons(config, scene) * photon / MB
     return Memory(rank, node)
 
 
