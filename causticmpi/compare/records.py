@@ -34,8 +34,9 @@ class Scene(Record):
 
 
 class Variant(Record):
-    """A method under a label: overrides of every scene's config.
+    """A method under a label.
 
+    label: unlike all others, up to 40 letters, digits and `+.,() _-`; set: overrides of every scene's config;
     timing_only: one short run tells what a pass costs, and nothing is said of its error (`iws`, which has no caustics).
     """
 
@@ -45,7 +46,10 @@ class Variant(Record):
 
 
 class Batches(Record):
-    """Independent renders that differ in their seed. set: overrides of the scene's config; budget: of each."""
+    """Independent renders that differ in their seed.
+
+    set: overrides of the scene's config; budget: of each; batches: how many.
+    """
 
     set: Overrides
     budget: Budget
@@ -53,11 +57,12 @@ class Batches(Record):
 
 
 class Reference(Record):
-    """How references are made: `batches` of one unbiased method, checked against those of another by a t-test.
+    """How references are made.
 
-    directory: where they are kept, for any comparison, relative to the current directory like `output`;
-    seed: of the first batch, far from the seeds of the runs; block: side in pixels of the squares whose means are
-    compared.
+    estimate: batches of one unbiased method, whose mean is the reference; check: those of another, against which a
+    t-test holds it; directory: where they are kept, for any comparison, relative to the current directory like
+    `output`; seed: of the first batch, far from the seeds of the runs; block: side in pixels of the squares whose means
+    are compared.
     """
 
     estimate: Batches
@@ -70,8 +75,10 @@ class Reference(Record):
 class CompareConfig(Record):
     """A whole compare config.
 
-    budgets: wall-clock times that every variant gets on the same ranks, multiplied by `scale`; seeds: runs of each;
-    mask_level: radiance of the reference's caustic layer above which a pixel belongs to the caustic mask.
+    scenes: parts of the comparison; variants: methods that are compared; budgets: wall-clock times that every variant
+    gets on the same ranks; reference: how references are made; title: of the report; scale: factor of all budgets;
+    seeds: runs of each; mask_level: radiance of the reference's caustic layer above which a pixel belongs to the
+    caustic mask; output: directory of runs and report, relative to the current directory.
     """
 
     scenes: Annotated[list[Scene], Meta(min_length=1)]

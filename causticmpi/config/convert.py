@@ -55,13 +55,13 @@ def _explain(source: YamlSource, keys: Keys, value: Any, info: inspect.Type, ver
         if missing is not None:
             return source.error(
                 keys,
-                f'missing key "{missing.name}"; add `{missing.name}: {_example(missing.type)}`{_why(missing.type)}',
+                f'missing key "{missing.name}"; add `{missing.name}: {_example(missing.type)}`{why(missing.type)}',
             )
     mend = f"; write for example {_example(info)}"
-    allowed = _describe(info)
+    allowed = _describe_all(info)
     if isinstance(value, str):
         mend = nearest(value, _literals(info)) or mend
-    return source.error(keys, f"found {show(value)}; allowed: {allowed}{_why(info)}{mend}")
+    return source.error(keys, f"found {show(value)}; allowed: {allowed}{why(info)}{mend}")
 
 
 def _unknown_key(key: str, struct: inspect.StructType) -> str:
@@ -83,7 +83,7 @@ def _names(struct: inspect.StructType) -> list[str]:
 
 def _step(value: Any, info: inspect.Type, key: str | int) -> tuple[Any, inspect.Type]:
     """One step down both the data and its type."""
-    for option in _options(info):
+    for option in options(info):
         if isinstance(option, inspect.StructType) and isinstance(key, str):
             return value[key], next(field.type for field in option.fields if field.encode_name == key)
         if isinstance(option, inspect.TupleType) and isinstance(key, int):
@@ -97,33 +97,34 @@ def _plain(info: inspect.Type) -> inspect.Type:
     return info.type if isinstance(info, inspect.Metadata) else info
 
 
-def _options(info: inspect.Type) -> list[inspect.Type]:
+def options(info: inspect.Type) -> list[inspect.Type]:
+    """The types that a value may have: those of a union, else its own."""
     info = _plain(info)
     return [_plain(option) for option in info.types] if isinstance(info, inspect.UnionType) else [info]
 
 
 def _struct(info: inspect.Type) -> inspect.StructType | None:
-    return next((option for option in _options(info) if isinstance(option, inspect.StructType)), None)
+    return next((option for option in options(info) if isinstance(option, inspect.StructType)), None)
 
 
 def _literals(info: inspect.Type) -> list[str]:
     return [
-        str(value) for option in _options(info) if isinstance(option, inspect.LiteralType) for value in option.values
+        str(value) for option in options(info) if isinstance(option, inspect.LiteralType) for value in option.values
     ]
 
 
-def _why(info: inspect.Type) -> str:
+def why(info: inspect.Type) -> str:
     """The reason a record gives for its range (Meta(description=...))."""
     schema = (info.extra_json_schema or {}) if isinstance(info, inspect.Metadata) else {}
     return f" ({schema['description']})" if "description" in schema else ""
 
 
-def _describe(info: inspect.Type) -> str:
-    options = [option for option in _options(info) if not isinstance(option, inspect.NoneType)]
-    return " or ".join(_describe_one(option) for option in options)
+def _describe_all(info: inspect.Type) -> str:
+    return " or ".join(describe(option) for option in options(info) if not isinstance(option, inspect.NoneType))
 
 
-def _describe_one(info: inspect.Type) -> str:
+def describe(info: inspect.Type) -> str:
+    """What a value of one of `options` may be, in words."""
     match info:
         case inspect.IntType() | inspect.FloatType():
             noun = "an integer" if isinstance(info, inspect.IntType) else "a number"
@@ -132,7 +133,7 @@ def _describe_one(info: inspect.Type) -> str:
             bounds = " and ".join(f"{sign} {limit:{form}}" for sign, limit in limits if limit is not None)
             return f"{noun} {bounds}".rstrip()
         case inspect.TupleType(item_types=items):
-            return f"a list of {len(items)}, each {_describe(items[0])}"
+            return f"a list of {len(items)}, each {_describe_all(items[0])}"
         case inspect.LiteralType(values=values):
             return ("one of " if len(values) > 1 else "") + ", ".join(str(value) for value in values)
         case inspect.StructType():
@@ -147,7 +148,7 @@ def _describe_one(info: inspect.Type) -> str:
 
 
 def _example(info: inspect.Type) -> str:
-    option = _options(info)[0]
+    option = options(info)[0]
     match option:
         case inspect.IntType() | inspect.FloatType():
             return next((str(n) for n in (1, 0.5, 1.5) if _within(n, option)), "1")

@@ -1,6 +1,8 @@
 """What a config file may say, as frozen records: one record per YAML section, defaults included.
 
-The records validate themselves (types, ranges, unknown keys) when `causticmpi.config.load` converts the YAML.
+The records validate themselves (types, ranges, unknown keys) when `causticmpi.config.load` converts the YAML. What a
+key does stands in its record's docstring as "key: ...; key, key: ...", from which `scripts/reference.py` makes
+docs/reference.md.
 """
 
 from typing import Annotated, Literal
@@ -20,7 +22,11 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
 
 class Camera(Record):
-    """Pinhole camera. Lengths in scene units; `fov` is vertical, in degrees."""
+    """Pinhole camera.
+
+    eye: where it stands, in scene units; target: the point in the middle of the film, in scene units; up: direction
+    that is upright in the picture, not that of the view; fov: vertical field of view in degrees.
+    """
 
     eye: Vector
     target: Vector
@@ -29,7 +35,11 @@ class Camera(Record):
 
 
 class Film(Record):
-    """Picture size in pixels; `crop` = [x0, y0, x1, y1], half open, renders a part at the same pixels."""
+    """The picture.
+
+    width, height: pixels, up to 65535; filter: samples of a pixel count alike; crop: [x0, y0, x1, y1] in pixels, half
+    open, renders this part alone, at the same pixels.
+    """
 
     width: PositiveInt = 640
     height: PositiveInt = 640
@@ -49,9 +59,10 @@ class Film(Record):
 
 
 class Budget(Record):
-    """Wall-clock time ("30s", "4min", "1h", or a number of seconds) or samples per pixel: one of them.
+    """Exactly one of `time` and `spp`.
 
-    until: estimated relMSE ("1%" or 0.01) at which a run stops before that (distributed.until).
+    time: wall-clock time, such as `30s`, `4min`, `1h30min`, or a number of seconds; spp: samples per pixel;
+    until: estimated relMSE, such as `1%` or 0.01, at which a run stops before that (distributed.until).
     """
 
     time: str | float | None = None
@@ -72,7 +83,10 @@ class Iws(Record):
 
 
 class Box(Record):
-    """Axis-aligned box in scene units."""
+    """Axis-aligned box, flat in one direction at most.
+
+    min, max: opposite corners in scene units.
+    """
 
     min: Vector
     max: Vector
@@ -83,14 +97,14 @@ class Forecast(Record):
 
     sampling: `mixture` (cones, cluster directions and BRDF, balance heuristic), `two` (the paper's two tables), `one`
     (one table, empty bins filled alike), `one-cosine` (by cosine and BRDF), `one-smooth` (table spread by a Gaussian)
-    or `mis` (table and BRDF, balance heuristic); clustering: vector quantization or k-means;
-    photons: caustic points to collect; clusters: codewords of the clustering; neighbours: n of the gather;
-    table: bins in azimuth and cosine; max_rank: clusters of a higher rank are not gathered from; splitting:
-    samples of each table, or of cones, at rank 0 and diffuse depth 0; light_tracing: with `mixture`, light paths draw
-    the caustics that the eye sees directly; pilot: with `mixture`, a few passes of a small picture decide how much
-    light tracing there is, and whether the forecast pays at all (render.pilot); radius, overlap: gather radius and the
-    epsilon around a cluster in scene units, `auto` derives them from the average photon density; aim: box towards which
-    most photons are shot, `auto` around all specular surfaces, `off`.
+    or `mis` (table and BRDF, balance heuristic); clustering: vector quantization or k-means; photons: caustic points to
+    collect; clusters: codewords of the clustering; neighbours: n of the gather; table: bins in azimuth and cosine;
+    max_rank: clusters of a higher rank are not gathered from; splitting: samples of each table, or of cones, at rank 0
+    and diffuse depth 0; light_tracing: with `mixture`, light paths draw the caustics that the eye sees directly; pilot:
+    with `mixture`, a few passes of a small picture decide how much light tracing there is, and whether the forecast
+    pays at all (render.pilot); radius: of the gather, in scene units, `auto` derives it from the average photon
+    density; overlap: the epsilon around a cluster in scene units, `auto` derives it likewise; aim: box towards which
+    most photons are shot, `auto` around all specular surfaces, `off` for none.
     """
 
     sampling: Literal["mixture", "two", "one", "one-cosine", "one-smooth", "mis"] = "mixture"
@@ -121,9 +135,10 @@ class PhotonMap(Record):
 
 
 class Output(Record):
-    """Where the pictures go, and how often a progressive one is written (seconds).
+    """Where the pictures go, and how often.
 
-    checkpoint: seconds of work that may be lost, whatever happens; 0 writes no checkpoints.
+    directory: of pictures, report and checkpoint, relative to the current directory; interval: seconds between
+    progressive pictures; checkpoint: seconds of work that may be lost, whatever happens; 0 writes no checkpoints.
     """
 
     directory: str = "out"
@@ -132,9 +147,14 @@ class Output(Record):
 
 
 class RenderConfig(Record):
-    """A whole config file. `scene` is a path relative to the file that names it.
+    """A whole config file.
 
-    watertight: no ray slips between the triangles of a mesh (some 4 in 10^7 do); tracing is a fifth slower.
+    scene: path of the scene file, relative to the config file; film: the picture; camera: instead of the scene's;
+    method: `pt` (path tracing with next-event estimation), `pt-brute` (without), `iws` (L_d alone), `iws+pm` (L_c from
+    a photon map, biased) or `iws+cf` (L_c by the forecast); budget: when the run ends; seed: of all random numbers;
+    iws: virtual lights, for the methods `iws...`; forecast: caustics of `iws+cf`; photon_map: caustics of `iws+pm`;
+    output: what is written; watertight: no ray slips between the triangles of a mesh (some 4 in 10^7 do); tracing is a
+    fifth slower.
     """
 
     scene: str

@@ -16,25 +16,37 @@ Exponent = Annotated[float, Meta(ge=0)]
 
 
 class Diffuse(Record, frozen=True, kw_only=True, tag_field="type", tag="diffuse"):
-    """Lambertian reflection; albedo in [0, 1]."""
+    """Lambertian reflection.
+
+    reflectance: albedo, 0 to 1.
+    """
 
     reflectance: Spectrum
 
 
 class Mirror(Record, frozen=True, kw_only=True, tag_field="type", tag="mirror"):
-    """Perfect mirror; reflectance in [0, 1]."""
+    """Perfect mirror.
+
+    reflectance: 0 to 1.
+    """
 
     reflectance: Spectrum
 
 
 class Dielectric(Record, frozen=True, kw_only=True, tag_field="type", tag="dielectric"):
-    """Smooth interface; `ior` = n behind the surface / n in front of it, front being where the normal points."""
+    """Smooth interface.
+
+    ior: n behind the surface / n in front of it, front being where the normal points.
+    """
 
     ior: Ior
 
 
 class Phong(Record, frozen=True, kw_only=True, tag_field="type", tag="phong"):
-    """Diffuse albedo plus the albedo of a Phong lobe; their sum is at most 1 per channel."""
+    """Lambertian reflection plus a Phong lobe.
+
+    diffuse, specular: albedo of each, 0 to 1, their sum at most 1 per channel; exponent: of the lobe, up to 10^6.
+    """
 
     diffuse: Spectrum
     specular: Spectrum
@@ -42,36 +54,51 @@ class Phong(Record, frozen=True, kw_only=True, tag_field="type", tag="phong"):
 
 
 class Shape(Record, frozen=True, kw_only=True):
-    """What every shape has: the name of its material, and the radiance its front side emits (none by default)."""
+    """What every shape has.
+
+    material: name of one of the scene's materials; emission: radiance that the front side emits, diffuse or Phong
+    materials only.
+    """
 
     material: str
     emission: Spectrum = 0.0
 
 
 class Quad(Shape, frozen=True, kw_only=True, tag_field="type", tag="quad"):
-    """Flat convex quadrilateral; front by the right-hand rule of its corners."""
+    """Flat convex quadrilateral.
+
+    corners: in order around it, in scene units; the front is by the right-hand rule.
+    """
 
     corners: tuple[Vector, Vector, Vector, Vector]
 
 
 class Sphere(Shape, frozen=True, kw_only=True, tag_field="type", tag="sphere"):
-    """Analytic sphere; its front is the outside."""
+    """Analytic sphere; its front is the outside.
+
+    center: in scene units; radius: in scene units, > 0.
+    """
 
     center: Vector
     radius: float
 
 
 class Box(Shape, frozen=True, kw_only=True, tag_field="type", tag="box"):
-    """Axis-aligned box with outward normals."""
+    """Axis-aligned box with outward normals.
+
+    min, max: opposite corners in scene units, min < max in x, y and z.
+    """
 
     min: Vector
     max: Vector
 
 
 class Mesh(Shape, frozen=True, kw_only=True, tag_field="type", tag="mesh"):
-    """Triangle mesh: a PLY or OBJ `file`, relative to the scene file, or one that the program is to `generate`.
+    """Triangle mesh: exactly one of `file` and `generate`.
 
-    Scaled first, then turned by `rotate` degrees about the fixed x axis, then y, then z, then moved by `translate`.
+    file: PLY or OBJ, relative to the scene file; generate: a mesh that the program makes: `horse`, `dragon`, `tin` or
+    `lid`; smooth: only `false`, meshes are flat shaded; scale: factor, or one for each axis, > 0, applied first;
+    rotate: degrees about the fixed x axis, then y, then z, applied second; translate: scene units, applied last.
     """
 
     file: str | None = None
@@ -83,7 +110,13 @@ class Mesh(Shape, frozen=True, kw_only=True, tag_field="type", tag="mesh"):
 
 
 class SceneFile(Record, frozen=True, kw_only=True):
-    """Top level of a scene file; materials and shapes are converted one by one, each with its own place."""
+    """A whole scene file.
+
+    camera: used where the config has none; materials: a name for each, with its `type` and the keys of that type;
+    shapes: each with its `type` and the keys of that type, at least one emits light.
+    """
+
+    # Materials and shapes are converted one by one, each with its own place.
 
     camera: Camera
     materials: dict[str, Any]

@@ -13,7 +13,7 @@ Value = float | str | bool | list[int]
 class Room(Record):
     """A scene from a template (`causticmpi.stability.scenes`) with parameters, or a scene file of one's own.
 
-    file: relative to the page.
+    template: name of the kind of room; file: a scene file, relative to the page; set: parameters of the template.
     """
 
     template: str | None = None
@@ -26,7 +26,7 @@ class Sweep(Record):
 
     parameter: `scene.NAME` of the template, `scene` for scene files relative to the page, a key of the render config
     such as `iws.bound`, or `photons`, which tells lies about the forecast's photons (`causticmpi.stability.lies`);
-    name: for people; start: the value that a user gets without asking, marked in the chart.
+    values: at least one; name: for people; start: the value that a user gets without asking, marked in the chart.
     """
 
     parameter: str
@@ -36,7 +36,10 @@ class Sweep(Record):
 
 
 class Contender(Record):
-    """A method under a label. set: overrides of the config."""
+    """A method under a label.
+
+    label: for people; set: overrides of the config.
+    """
 
     label: Annotated[str, Meta(min_length=1, max_length=40)]
     set: Settings
@@ -44,7 +47,9 @@ class Contender(Record):
 
 class Claim(Record):
     """What several seeds are asked (`causticmpi.stability.seeds`): how often is `of` below 0.95 of the baseline, or
-    below 0.9 of the best of `fixed`? of, fixed: labels of contenders.
+    below 0.9 of the best of `fixed`?
+
+    of: label of a contender; fixed: labels of its rivals.
     """
 
     of: str
@@ -62,17 +67,20 @@ class Truth(Record):
 
 
 class Page(Record):
-    """A page.
+    """A whole page.
 
+    title, question: for people; contenders: methods that are measured; room: the scene, unless the sweep is over scene
+    files; sweep: of a parameter; truth: what errors are measured against; set: overrides of every contender's config.
     kind: `sweep` of a parameter, `long` runs of one pixel, `coverage` of stated intervals, `until` stops.
     reads: how the verdict is formed: `rivals` compares methods along the sweep, `setting` finds the best value,
     `exact` names the values at which the known answer is missed, `floor` the bias of biased methods, `bounded` what
     paths cost, `lies` what wrong forecasts do.
-    side: pixels of the square film; seconds: CPU time of each contender in each cell; batches: independent parts of it;
-    batch_passes: passes of each batch, in place of seconds: then means and their tests are the same on any machine;
-    equal_time: CPU seconds at which errors are compared, preprocess included; baseline: label of the contender whom
-    others should beat; claim: table of efficiencies over seeds; constant_caustics: L_c has the same
-    mean all along the sweep, so that less means missed; runs, passes: of `coverage` and `until`; samples: of `long`.
+    side: pixels of the square film; seconds: CPU time of each contender in each cell; batches: independent parts of
+    that time; batch_passes: passes of each batch, in place of seconds: then means and their tests are the same on any
+    machine; equal_time: CPU seconds at which errors are compared, preprocess included; baseline: label of the contender
+    whom others should beat; claim: table of efficiencies over seeds; constant_caustics: L_c has the same mean all along
+    the sweep, so that less means missed; runs: of `coverage` and `until`; passes: of each of these runs; samples: of
+    `long`.
     """
 
     title: str
