@@ -68,19 +68,41 @@ def test_the_console_script_is_the_same_program(tmp_path: Path) -> None:
         ("", "causticmpi: found no VERB; allowed: render, check, "),
         ("--verzion", 'causticmpi: found "--verzion"; allowed: -h, --help, --version; did you mean "--version"? See '),
         ("rendre x", 'did you mean "render"? See causticmpi --help'),
-        ("render", "causticmpi render: the following arguments are required: CONFIG; see causticmpi render --help"),
+        (
+            "render",
+            "render: found no CONFIG; allowed: config file (YAML), such as configs/cornell.yaml; see causticmpi",
+        ),
+        (
+            "render x --time",
+            "render: --time: found nothing after it; allowed: --time T, wall-clock budget, such as 30s",
+        ),
+        (
+            "render x --until --spp 3",
+            "render: --until: found nothing after it; allowed: --until E, stop before that at ",
+        ),
         ("render x --output y", 'causticmpi render: found "--output"; allowed: -h, --help, --set, '),
         ("render x --output=y", 'did you mean "--out"? See causticmpi render --help'),
         ("render x --sp 3", 'did you mean "--spp"? See causticmpi render --help'),
         ("render x y", 'causticmpi render: found "y", one word too many; see causticmpi render --help'),
         ("compare x --scene first", 'causticmpi compare: --scene: found "first"; allowed: an integer >= 1; see '),
-        ("merge a b", "causticmpi merge: the following arguments are required: -o/--out; see causticmpi merge --help"),
+        ("merge a b", "causticmpi merge: found no -o DIR; allowed: output directory; see causticmpi merge --help"),
+        ("merge", "found no RUN and no -o DIR; allowed: directories of finished or stopped runs, two or more; output "),
     ],
 )
 def test_a_wrong_command_line_is_one_line(line: str, told: str, capfd: pytest.CaptureFixture[str]) -> None:
     assert main(line.split()) == 2
     err = capfd.readouterr().err
     assert told in err and err.startswith("causticmpi") and err.count("\n") == 1 and "--help\n" in err, err
+
+
+@pytest.mark.parametrize(
+    ("option", "told"), [("--time=-5s", "a time in h, min and s"), ("--seed=-1", "an integer >= 0")]
+)
+def test_a_value_with_a_minus_is_a_value(option: str, told: str, capfd: pytest.CaptureFixture[str]) -> None:
+    for words_of_it in ([option], option.split("=")):
+        assert main(["check", str(CORNELL), *words_of_it]) == 2
+        err = capfd.readouterr().err
+        assert option.replace("=", " ") in err and f"allowed: {told}" in err and err.count("\n") == 1, err
 
 
 @pytest.mark.parametrize("line", ["render x", "check x", "compare x", "inspect x", "merge x y", "bench x"])

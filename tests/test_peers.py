@@ -1,5 +1,6 @@
 """Other renderers: what is exported, what is recorded, what is measured; a small comparison of our own methods."""
 
+from argparse import ArgumentTypeError
 from pathlib import Path
 
 import numpy as np
@@ -141,7 +142,7 @@ def test_a_recording_takes_the_nearest_moment_for_each_budget(tmp_path: Path) ->
 
 
 def test_budgets_must_be_positive() -> None:
-    with pytest.raises(ValueError, match="seconds > 0"):
+    with pytest.raises(ArgumentTypeError, match='found "0"; allowed: a number > 0'):
         budgets("0,5")
 
 

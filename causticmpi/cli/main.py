@@ -3,10 +3,11 @@
 import argparse
 import os
 import sys
-from collections.abc import Iterable, Sequence
-from typing import Any, NoReturn
+from collections.abc import Sequence
+from typing import Any
 
 from causticmpi import __version__
+from causticmpi.config.command_line import Parser, count, one_line
 from causticmpi.distributed.environment import launcher_rank
 from causticmpi.errors import InputError, RunError
 
@@ -14,52 +15,12 @@ os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # one rank is one thread
 
 
-class UsageError(InputError):
-    """A wrong command line; the message begins with the program and the verb."""
-
-
-class _Parser(argparse.ArgumentParser):
-    """Each error is one line that names the verb, what is allowed, and the name that may have been meant."""
-
-    def error(self, message: str) -> NoReturn:
-        end = " See" if message.endswith("?") else "; see"
-        raise UsageError(f"{self.prog}: {message.removeprefix('argument ')}{end} {self.prog} --help")
-
-    def parse_known_args(self, *given: Any) -> tuple[argparse.Namespace, list[str]]:  # type: ignore[override]
-        """As argparse does it, but a verb refuses unknown words itself: the program would not know whose they are."""
-        arguments, unknown = super().parse_known_args(*given)
-        if unknown and unknown[0].startswith("-"):
-            self.error(_found(unknown[0].partition("=")[0], self._option_string_actions))
-        if unknown:
-            self.error(f'found "{unknown[0]}", one word too many')
-        return arguments, unknown
-
-    def _check_value(self, action: argparse.Action, value: Any) -> None:
-        if action.choices is not None and value not in action.choices:
-            raise argparse.ArgumentError(action, _found(str(value), action.choices))
-
-
-def _found(word: str, allowed: Iterable[str]) -> str:
-    from causticmpi.config.convert import nearest
-
-    names = list(allowed)
-    return f'found "{word}"; allowed: {", ".join(names)}{nearest(word, names)}'
-
-
-def _count(text: str) -> int:
-    """An integer from 1, for argparse."""
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f'found "{text}"; allowed: an integer >= 1')
-    return int(text)
-
-
 def build_parser() -> argparse.ArgumentParser:
     """The command line of all verbs."""
-    parser = _Parser(
+    parser = Parser(
         prog="causticmpi",
         description="Unbiased caustics, rendered in batch on many cores: IWS + Caustic Forecasting and its rivals.",
         epilog="Start it plainly, with -j 2, or under mpirun -n 20. Exit codes: 0 done, 2 bad input, 1 anything else.",
-        allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"causticmpi {__version__}")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB")
@@ -78,10 +39,10 @@ def build_parser() -> argparse.ArgumentParser:
     _input(check)
     _picture(check)
     compare = _verb(verbs, "compare", "equal-time runs of several methods: tables, charts, one HTML report")
-    _input(compare)
+    _input(compare, "configs/compare/smoke.yaml")
     _output(compare, "output directory (default: the config's)")
     _ranks(compare)
-    compare.add_argument("--scene", metavar="N", type=_count, help="the runs of the Nth scene alone, and no report")
+    compare.add_argument("--scene", metavar="N", type=count, help="the runs of the Nth scene alone, and no report")
     compare.add_argument("--references", action="store_true", help="make the references that are missing, nothing else")
     compare.add_argument(
         "--show", metavar="DIR", action="append", default=[], help="put the PNGs of this directory into the report"
@@ -107,12 +68,12 @@ BENCH_CONFIGS = [f"configs/{name}.yaml" for name in ("cornell", "ring", "pool")]
 
 
 def _verb(verbs: Any, name: str, purpose: str) -> argparse.ArgumentParser:
-    verb: argparse.ArgumentParser = verbs.add_parser(name, help=purpose, description=purpose, allow_abbrev=False)
+    verb: argparse.ArgumentParser = verbs.add_parser(name, help=purpose, description=purpose)
     return verb
 
 
-def _input(verb: argparse.ArgumentParser) -> None:
-    verb.add_argument("config", metavar="CONFIG", help="config file (YAML)")
+def _input(verb: argparse.ArgumentParser, example: str = "configs/cornell.yaml") -> None:
+    verb.add_argument("config", metavar="CONFIG", help=f"config file (YAML), such as {example}")
     verb.add_argument(
         "--set", dest="settings", metavar="KEY.SUB=VALUE", action="append", default=[], help="override a config value"
     )
@@ -133,7 +94,7 @@ def _output(verb: argparse.ArgumentParser, purpose: str, required: bool = False)
 
 
 def _ranks(verb: argparse.ArgumentParser) -> None:
-    verb.add_argument("-j", dest="ranks", metavar="RANKS", type=_count, default=1, help="start this many ranks here")
+    verb.add_argument("-j", dest="ranks", metavar="RANKS", type=count, default=1, help="start this many ranks here")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -188,5 +149,5 @@ def _run(argv: list[str]) -> int:
 def report_input_error(error: InputError) -> int:
     """Print bad input once, even where a launcher started many of us; code 2."""
     if launcher_rank() == 0:
-        print(error if isinstance(error, UsageError) else f"causticmpi: {error}", file=sys.stderr, flush=True)
+        print(one_line(error, "causticmpi"), file=sys.stderr, flush=True)
     return 2

@@ -23,6 +23,7 @@ from causticmpi import __version__
 from causticmpi.compare.charts import as_png, require_matplotlib
 from causticmpi.compare.metrics import ReferencePicture
 from causticmpi.compare.tables import to_csv, to_markdown
+from causticmpi.config.command_line import Parser, count, one_line, positive
 from causticmpi.config.load import load_config
 from causticmpi.config.records import RenderConfig
 from causticmpi.errors import InputError
@@ -51,16 +52,16 @@ NEEDED = {"mitsuba": ("mitsuba",), "luxcore": ("pyluxcore",), "ours": ()}
 
 def read_arguments(argv: Sequence[str] | None = None) -> argparse.Namespace:
     """The command line of `scripts/peers`."""
-    parser = argparse.ArgumentParser(prog="scripts/peers", description=__doc__)
+    parser = Parser(prog="scripts/peers", description=__doc__)
     parser.add_argument("--scenes", default=SCENES, help=f"names in configs/, or config files (default {SCENES})")
     parser.add_argument("--seconds", type=budgets, default=budgets("5,15,60"), help="CPU-time budgets (5,15,60)")
-    parser.add_argument("--scale", type=float, default=1.0, help="factor of all times, the reference's too")
+    parser.add_argument("--scale", type=positive, default=1.0, help="factor of all times, the reference's too")
     parser.add_argument("--only", default="", help="such as ours,mitsuba:path: renderers or their methods")
-    parser.add_argument("--seeds", type=int, default=1, help="runs of each method; tables show medians")
+    parser.add_argument("--seeds", type=count, default=1, help="runs of each method; tables show medians")
     parser.add_argument("--references", type=Path, help="folder of SCENE.npz (half1, half2) or SCENE/reference.exr")
-    parser.add_argument("--reference-seconds", type=float, default=300.0, help="CPU time of each half (300)")
+    parser.add_argument("--reference-seconds", type=positive, default=300.0, help="CPU time of each half (300)")
     parser.add_argument("--tessellate", type=int, metavar="LEVEL", help="spheres as icospheres, for all renderers")
-    parser.add_argument("--out", type=Path, default=Path("out/peers"))
+    parser.add_argument("--out", type=Path, default=Path("out/peers"), help="output directory (out/peers)")
     parser.add_argument("--show", action="store_true", help="run nothing: tables and charts of what there is")
     return parser.parse_args(argv)
 
@@ -211,6 +212,6 @@ def main() -> int:
     try:
         compare(read_arguments())
     except InputError as error:
-        print(f"peers: {error}", file=sys.stderr)
+        print(one_line(error, "peers"), file=sys.stderr)
         return 2
     return 0

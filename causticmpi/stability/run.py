@@ -1,6 +1,5 @@
 """The stability report: pages read and checked, cells measured by several processes, one HTML page written."""
 
-import math
 import multiprocessing
 import sys
 import time
@@ -14,6 +13,7 @@ from causticmpi import __version__
 from causticmpi.compare import charts, tables
 from causticmpi.compare.page import Image, Section, page
 from causticmpi.compare.tables import Table
+from causticmpi.config.command_line import Parser, count, one_line, positive
 from causticmpi.config.convert import convert
 from causticmpi.config.yaml_source import read_yaml
 from causticmpi.errors import InputError
@@ -154,24 +154,18 @@ def _save(path: Path, data: bytes) -> None:
 
 def main(arguments: Sequence[str]) -> int:
     """`python -m causticmpi.stability PAGE… [options]`; 1 if a cell is wrong, 2 for bad input."""
-    import argparse
     import shlex
 
-    parser = argparse.ArgumentParser(prog="scripts/stability", description="Where methods fail: one page per question.")
-    parser.add_argument("pages", nargs="+", type=Path, metavar="PAGE", help="page (YAML), see configs/stability")
+    parser = Parser(prog="scripts/stability", description="Where methods fail: one page per question.")
+    parser.add_argument("pages", nargs="+", type=Path, metavar="PAGE", help="pages (YAML), see configs/stability")
     parser.add_argument("--out", type=Path, default=Path("out/stability"), help="output directory")
-    parser.add_argument("--scale", type=float, default=1.0, help="factor of all CPU times, runs and samples")
-    parser.add_argument("--seeds", type=int, default=1, metavar="N", help="measure each sweep N times")
-    parser.add_argument("-j", dest="processes", type=int, default=2, help="processes")
-    given = parser.parse_args(arguments)
-    for name, number in (("--seeds", given.seeds), ("-j", given.processes)):
-        if number < 1:
-            parser.error(f"{name}: found {number}; allowed: 1 or more")
-    if not 0 < given.scale < math.inf:
-        parser.error(f"--scale: found {given.scale:g}; allowed: a number above 0")
+    parser.add_argument("--scale", type=positive, default=1.0, help="factor of all CPU times, runs and samples")
+    parser.add_argument("--seeds", type=count, default=1, metavar="N", help="measure each sweep N times")
+    parser.add_argument("-j", dest="processes", type=count, default=2, help="processes")
     command = shlex.join(["scripts/stability", *arguments])
     try:
+        given = parser.parse_args(arguments)
         return 1 if make_report(given.pages, given.out, given.scale, given.processes, command, given.seeds) else 0
     except InputError as error:
-        print(f"stability: {error}", file=sys.stderr)
+        print(one_line(error, "stability"), file=sys.stderr)
         return 2
