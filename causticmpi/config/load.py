@@ -62,39 +62,20 @@ def scene_path(config_path: str | Path, config: RenderConfig) -> Path:
 
 def _validated(source: YamlSource) -> RenderConfig:
     config = convert(source, (), source.data, RenderConfig)
-    try:
+    with source.placing(("film",), "crop", "width", "height"):
         check_film(config.film)
-    except InputError as error:
-        raise _blame(source, "film", ("crop", "width", "height"), error) from None
-    try:
+    with source.placing(("budget",), "time", "spp", "until"):
         budget = check_budget(config.budget)
-    except InputError as error:
-        raise _blame(source, "budget", ("time", "spp", "until"), error) from None
-    if config.camera is not None:
-        try:
+    with source.placing(("camera",), "eye", "target", "up"):
+        if config.camera is not None:
             check_camera(config.camera)
-        except InputError as error:
-            raise _blame(source, "camera", ("eye", "target", "up"), error) from None
-    if not isinstance(config.forecast.aim, str):
-        try:
+    with source.placing(("forecast", "aim")):
+        if not isinstance(config.forecast.aim, str):
             check_box(config.forecast.aim)
-        except InputError as error:
-            raise source.error(("forecast", "aim"), str(error)) from None
     for keys, text in ((("scene",), config.scene), (("output", "directory"), config.output.directory)):
         if not text.strip():
             raise source.error(keys, 'found ""; allowed: a path; write one')
     return msgspec.structs.replace(config, budget=budget)
-
-
-def _blame(source: YamlSource, section: str, keys: tuple[str, ...], error: InputError) -> InputError:
-    """The error at the key to mend: the one the command line set, else the one the message names, else the section."""
-    present: list[Keys] = [(section, key) for key in keys if (section, key) in source.places]
-    overridden = [at for at in present if isinstance(source.place(at), str)]
-    named = [at for at in present if str(error).startswith(f"{at[1]}:")]
-    at: Keys = (overridden or named or [(section,)])[0]
-    place = source.place(at)
-    text = f"{section}{'.' if str(error).partition(':')[0] in keys else ': '}{error}"
-    return InputError(text, place) if isinstance(place, str) else InputError(text, source.file, place)
 
 
 def _parsed(overrides: Mapping[str, str] | Sequence[str]) -> Iterator[tuple[str, Keys, Any]]:

@@ -6,7 +6,8 @@ The scalars follow YAML 1.2's core schema: `1e-3` is a number, `no` and `1:30` a
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -46,12 +47,27 @@ class YamlSource:
                 return self.places[keys[:end]]
         return 1
 
-    def error(self, keys: Keys, message: str) -> InputError:
-        """The error of the value at `keys`: place, name of the key, message."""
-        place = self.place(keys)
+    def error(self, keys: Keys, message: str, place: int | str | None = None) -> InputError:
+        """The error of the value at `keys`: place (that of `keys` unless given), name of the key, message."""
+        place = place or self.place(keys)
         name = dotted(keys)
         text = f"{name}: {message}" if name else message
         return InputError(text, place) if isinstance(place, str) else InputError(text, self.file, place)
+
+    @contextmanager
+    def placing(self, keys: Keys, *rivals: str) -> Iterator[None]:
+        """Around a check that does not know where its value stands: its InputError gets the place of `keys`, or of the
+        key in there that leads the message ("crop: found ..."). Of `rivals`, keys in there that one rule ties together,
+        the one that the command line set is to blame.
+        """
+        try:
+            yield
+        except InputError as error:
+            key, _, rest = str(error).partition(": ")
+            named, message = ((*keys, key), rest) if key.isidentifier() else (keys, str(error))
+            places = (self.places.get((*keys, rival)) for rival in rivals)
+            place = next((place for place in places if isinstance(place, str)), None)
+            raise self.error(named, message, place) from None
 
 
 def dotted(keys: Keys) -> str:

@@ -29,18 +29,14 @@ def load_scene(path: str | Path) -> SceneData:
     """
     source = read_yaml(path)
     scene = convert(source, (), source.data, SceneFile)
-    try:
+    with source.placing(("camera",)):
         check_camera(scene.camera)
-    except InputError as error:
-        raise _placed(source, ("camera",), error) from None
     materials = MaterialTable()
     for name, value in scene.materials.items():
         keys: Keys = ("materials", name)
         material = convert(source, keys, value, _kind(source, keys, value, MATERIALS))
-        try:
+        with source.placing(keys):
             materials.add(name, material_row(material))
-        except InputError as error:
-            raise _placed(source, keys, error) from None
     builder = _Builder(source, materials)
     for i, value in enumerate(scene.shapes):
         keys = ("shapes", i)
@@ -73,20 +69,17 @@ class _Builder:
                 f"{nearest(shape.material, rows)}",
             )
         material = rows[shape.material]
-        try:
+        with self.source.placing((*keys, "emission")):
             emission = self.emission_row(shape, material)
-        except InputError as error:
-            raise _placed(self.source, (*keys, "emission"), error) from None
-        try:
-            if isinstance(shape, Sphere):
-                self.spheres.append((sphere_row(shape), material, emission))
-            else:
-                self.meshes.append((self.triangles(shape), material, emission))
-        except ZeroAreaError as error:
-            reason = _POINT_LIGHT if emission >= 0 else ""
-            raise _placed(self.source, keys, InputError(f"{error}{reason}")) from None
-        except InputError as error:
-            raise _placed(self.source, keys, error) from None
+        with self.source.placing(keys):
+            try:
+                if isinstance(shape, Sphere):
+                    self.spheres.append((sphere_row(shape), material, emission))
+                else:
+                    self.meshes.append((self.triangles(shape), material, emission))
+            except ZeroAreaError as error:
+                reason = _POINT_LIGHT if emission >= 0 else ""
+                raise InputError(f"{error}{reason}") from None
 
     def triangles(self, shape: Quad | Box | Mesh) -> Triangles:
         if isinstance(shape, Quad):
@@ -147,13 +140,3 @@ def _kind(source: YamlSource, keys: Keys, value: Any, kinds: dict[str, type[T]])
     if not isinstance(kind, str) or kind not in kinds:
         raise source.error((*keys, "type"), f"found {show(kind)}; allowed: {allowed}{nearest(str(kind), kinds)}")
     return kinds[kind]
-
-
-def _placed(source: YamlSource, keys: Keys, error: InputError) -> InputError:
-    """The error of a value checked without knowledge of its place; a leading key of its own is kept once."""
-    text = str(error)
-    key, _, rest = text.partition(": ")
-    if key == keys[-1]:
-        return source.error(keys, rest)
-    inner = (*keys, key)
-    return source.error(inner, rest) if inner in source.places else source.error(keys, text)
