@@ -1,12 +1,17 @@
 """docs/reference.md: every key of every file, as the records have them now."""
 
+import math
 import re
 import runpy
 
 import pytest
 from mpi_tools import ROOT
 
-from causticmpi.config.records import Record
+from causticmpi.config.check import MAX_SIDE
+from causticmpi.config.records import Film, Record
+from causticmpi.scene.generated.catalogue import MESHES
+from causticmpi.scene.materials import MAX_EXPONENT
+from causticmpi.scene.records import Mesh, Phong
 
 reference = runpy.run_path(str(ROOT / "scripts" / "reference.py"))
 
@@ -43,3 +48,11 @@ def test_a_key_that_nothing_is_said_of_is_refused() -> None:
     assert reference["descriptions"](Told) == ("Summary: a key.", told)
     with pytest.raises(LookupError, match="Untold: its docstring says nothing of fourth"):
         list(reference["section"]("# Untold", Untold, "", {}))
+
+
+def test_limits_that_no_record_knows_are_those_that_are_checked() -> None:
+    _, film = reference["descriptions"](Film)
+    _, phong = reference["descriptions"](Phong)
+    _, mesh = reference["descriptions"](Mesh)
+    assert f"up to {MAX_SIDE}" in film["width"] and f"up to 10^{math.log10(MAX_EXPONENT):g}" in phong["exponent"]
+    assert re.findall(r"`(\w+)`", mesh["generate"]) == list(MESHES)
