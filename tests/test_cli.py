@@ -105,6 +105,16 @@ def test_a_value_with_a_minus_is_a_value(option: str, told: str, capfd: pytest.C
         assert option.replace("=", " ") in err and f"allowed: {told}" in err and err.count("\n") == 1, err
 
 
+@pytest.mark.parametrize(("verb", "go_on"), [("render", "with --resume"), ("compare", "the same command goes on")])
+def test_a_killed_rank_ends_with_code_1(
+    verb: str, go_on: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("causticmpi.distributed.launch.launch_ranks", lambda ranks, argv: 137)
+    assert main([verb, "x", "-j", "2"]) == 1
+    err = capfd.readouterr().err
+    assert "ended with code 137: one of them was killed" in err and go_on in err and err.count("\n") == 1
+
+
 @pytest.mark.parametrize("line", ["render x", "check x", "compare x", "inspect x", "merge x y", "bench x"])
 def test_every_verb_that_writes_takes_either_name_of_its_directory(line: str) -> None:
     for name in ("-o", "--out"):

@@ -4,15 +4,14 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
+from causticmpi.cli.ranks import run_in_ranks
+
 
 def compare(arguments: argparse.Namespace, argv: Sequence[str]) -> int:
     """Start the ranks if asked to, else be one of them. Returns the exit code; raises InputError."""
-    from causticmpi.distributed.launch import launch_ranks
-
-    if arguments.ranks != 1:
-        code = launch_ranks(arguments.ranks, argv)
-        if code is not None:
-            return code
+    code = run_in_ranks(arguments.ranks, argv, "the same command goes on where it was")
+    if code is not None:
+        return code
     from causticmpi.compare.run import compare as run_comparison
     from causticmpi.distributed.failure import install_abort_hook, run_to_exit_code
     from causticmpi.distributed.world import open_world
