@@ -28,9 +28,9 @@ PIXELS = 8192
 PASSES = 16
 FIRST_PASS = 2**40
 """No picture gets as far: the passes of a pilot are others than those of the run."""
-FORECAST_RAY, LIGHT_RAY = 1.6, 3.2
-"""CPU time of a ray with its share of gathering, tables and splats, over that of a ray sampled plainly: medians of
-1.3 to 2.4 and 3 to 4 on cornell, ring, pool and figurines."""
+FORECAST_RAY, LIGHT_RAY = 1.4, 2.6
+"""CPU time of a ray with its share of the forecast, and of one of light tracing with its splats, over that of a ray
+sampled plainly: 1.1 to 1.7 and 1.3 to 3 on cornell, ring, pool and figurines."""
 GAIN = 0.8
 """Plain sampling must promise no more than this part of the forecast's error times cost: its estimate is the one that
 tends to be too low."""
