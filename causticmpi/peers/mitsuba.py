@@ -20,7 +20,7 @@ SAMPLES = 4
 """Per pixel and pass; ptracer: as many light paths per pixel."""
 DEPTH, ROULETTE_DEPTH = 24, 5
 OLDEST_LLVM = 16
-"""Older ones abort on processors with AVX512-FP16: "Cannot select"."""
+"""Older ones abort on processors with AVX-512: "Cannot select"."""
 
 
 def choose_variant() -> tuple[str, str]:
@@ -30,7 +30,7 @@ def choose_variant() -> tuple[str, str]:
         new = [path for version, path in found if version >= OLDEST_LLVM]
         if new:
             os.environ["DRJIT_LIBLLVM_PATH"] = str(new[-1])
-        elif not found or "avx512_fp16" in _processor():
+        elif not found or "avx512f" in _processor():
             return (
                 "scalar_rgb",
                 f"scalar_rgb, for want of LLVM >= {OLDEST_LLVM} (Debian, Ubuntu: apt install libllvm19)",

@@ -1,7 +1,7 @@
 """Anchors: places among the forecast photons, each with the photons nearest to it, found once and for all passes.
 
-A forecast is only a pdf: the neighbours of a place close by steer as well as one's own, and looking them up costs a walk
-down a tree instead of a search. The anchors lie as dense as the photons: one in the middle of every run of at most RUN.
+A forecast is only a pdf: the neighbours of a place close by steer as well as one's own, and looking them up costs a
+walk down a tree instead of a search. The anchors lie as dense as the photons: one amid every run of at most RUN.
 """
 
 from typing import Any
@@ -14,7 +14,7 @@ from causticmpi.kernels.kdtree import LEAF, MAX_DEPTH, nearest, run_of
 RUN = 2 * LEAF
 """Photons around an anchor, at most: rows of the tree that no plane parts further."""
 SHORTEST = RUN // 2
-"""A run of a tree has at least as many, unless it is the whole tree: the numbers of its anchors follow from its rows."""
+"""A run of a tree has at least as many, unless it is the whole tree: the number of its anchor follows from its rows."""
 
 
 @inline
