@@ -163,7 +163,7 @@ class StoppedRun(SerialRun):
         )
         self.clock = BudgetClock(self.state)
         self.film.merge(before.film)
-        self.sums_before = None
+        self.arrays_before = None
 
 
 class HalfTime:

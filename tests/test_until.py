@@ -97,13 +97,25 @@ def test_rounds_end_at_the_border_of_a_half() -> None:
         assert rule.half(start + length) != rule.half(start)
 
 
+def frozen(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Copies that nobody may write, as those from a file."""
+    copies = {name: array.copy() for name, array in arrays.items()}
+    for array in copies.values():
+        array.flags.writeable = False
+    return copies
+
+
 def test_parts() -> None:
     """One picture of all passes where both halves end at once, two of their own lengths where they do not."""
     quiet, loud = np.array([1.0, 1.001] * 100), np.array([1.0, 60.0] * 100)
 
-    def run(first: np.ndarray, second: np.ndarray, passes: int) -> tuple[Until, bool, list[tuple[np.ndarray, int]]]:
+    def run(
+        first: np.ndarray, second: np.ndarray, passes: int, stops: bool = False
+    ) -> tuple[Until, bool, list[tuple[np.ndarray, int]]]:
         rule, over = Until(1e-4), False
         for n in [n for n in range(1, passes + 1) if Until(1).asks(n)]:
+            if stops:
+                rule = Until(1e-4, frozen(rule.kept(sums_of(second))))
             a, b = sums_of(first[: n // 2]), sums_of(second[: n // 2])
             over = rule.decide(a + b, b, n)
             if over:
@@ -121,6 +133,13 @@ def test_parts() -> None:
     assert mean_of(parts) == pytest.approx((quiet[: asked // 2].mean() + loud[: soon // 2].mean()) / 2)
     _, over, parts = run(loud, loud, asked)
     assert not over and [n for _, n in parts] == [asked]
+    # Kept and taken up again at every question: the same parts.
+    for kinds in ((quiet, quiet), (quiet, loud), (loud, quiet), (loud, loud)):
+        _, kept_over, kept_parts = run(*kinds, asked, stops=True)
+        _, over, parts = run(*kinds, asked)
+        assert kept_over == over and len(kept_parts) == len(parts)
+        for (sums, n), (wanted, wanted_n) in zip(kept_parts, parts, strict=True):
+            assert n == wanted_n and np.array_equal(sums, wanted)
     # Ended by something else in the middle of a block: the other half counts what it has.
     rule, _, _ = run(quiet, loud, asked)
     for passes in range(asked, 200):

@@ -1,7 +1,7 @@
 """What rank 0 reads and finds to be sound before any rank works: config, scene, directory, the run to go on with."""
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,9 +10,10 @@ import numpy as np
 from causticmpi.config.records import RenderConfig
 from causticmpi.distributed.checkpoint import State, find_state, picture_is_of, require_same_run
 from causticmpi.distributed.clock import Stopwatch
+from causticmpi.distributed.until import ended
 from causticmpi.distributed.world import World
 from causticmpi.errors import InputError
-from causticmpi.output.directory import EXR, UNFINISHED, Claim, check_directory, claim_directory
+from causticmpi.output.directory import UNFINISHED, Claim, check_directory, claim_directory
 from causticmpi.preprocess.aim import emission_aim
 from causticmpi.render.memory import check_memory
 from causticmpi.scene.content import with_camera
@@ -34,12 +35,12 @@ class Request:
 
 @dataclass(frozen=True)
 class Input:
-    """What rank 0 found to be sound; other ranks have the request alone. state, sums: of the run to go on with."""
+    """What rank 0 found to be sound; other ranks have the request alone. state, arrays: of the run to go on with."""
 
     request: Request
     scene: SceneData | None = None
     state: State | None = None
-    sums: np.ndarray | None = None
+    arrays: Mapping[str, np.ndarray] | None = None
 
 
 def sound_scene(config: RenderConfig, scene_file: Path) -> SceneData:
@@ -78,35 +79,29 @@ def _with_state(given: Input) -> Input:
     state, arrays, damaged = find_state(directory)
     for line in damaged:
         print(f"causticmpi: warning: {line}", file=sys.stderr)
-    if config.budget.until is not None and (state is not None or (directory / EXR).exists()):
-        raise InputError(
-            "a run with budget.until cannot be resumed, for its checkpoint does not keep its halves apart; leave out "
-            "until, or start anew with --force",
-            directory,
-        )
     if state is None:
         print(f"causticmpi: {directory}: no {'usable ' if damaged else ''}checkpoint, starting afresh", file=sys.stderr)
         return given
     require_same_run(state, config, scene.content_hash, directory)
-    return replace(given, state=state, sums=arrays["sums"])
+    return replace(given, state=state, arrays=arrays)
 
 
 def nothing_to_do(given: Input) -> bool:
     """Whether the run to be resumed has all that the budget asks for, its picture too; says which is the case."""
     config, state = given.request.config, given.state
     directory = Path(config.output.directory)
-    if state is None:
+    if state is None or given.arrays is None:
         return False
-    if not state.covers(config.budget) or not picture_is_of(directory, state.passes):
+    reached = ended(given.arrays)
+    if not (reached or state.covers(config.budget)) or not picture_is_of(directory, state.passes):
         print(f"causticmpi: {directory}: going on from the {state.passes} passes of its checkpoint", file=sys.stderr)
         return False
     (directory / UNFINISHED).unlink(missing_ok=True)
     done = f"{state.passes} pass{'' if state.passes == 1 else 'es'}"
-    print(
-        f"{directory}: holds {done} in {state.elapsed:.1f} s already, the budget asks for no more and the picture "
-        "stays as it is; extend the run by a larger --time or --spp",
-        flush=True,
-    )
+    why = "the budget asks for no more and the picture stays as it is; extend the run by a larger --time or --spp"
+    if reached:
+        why = f"its halves reached the wanted error {config.budget.until} and the picture stays as it is"
+    print(f"{directory}: holds {done} in {state.elapsed:.1f} s already, {why}", flush=True)
     return True
 
 

@@ -117,7 +117,7 @@ def read_state(checkpoint: Checkpoint, directory: Path) -> State:
 
 
 def require_same_run(state: State, config: RenderConfig, scene_hash: str, directory: Path) -> None:
-    """Raises InputError unless the state is one of this very config, seed and scene."""
+    """Raises InputError unless the state is one of this very config, wanted error, seed and scene."""
     if len(state.seeds) > 1:
         raise InputError(
             f"it holds a merge of the seeds {', '.join(map(str, state.seeds))}, which has no next pass: render another "
@@ -125,6 +125,9 @@ def require_same_run(state: State, config: RenderConfig, scene_hash: str, direct
             directory,
         )
     difference = unlike(state, sample_keys(config), scene_hash)
+    old, new = state.budget.until, config.budget.until
+    if not difference and old != new:  # the halves are ended by the very error, or not told apart at all
+        difference = f"budget.until {json.dumps(old)}, here {json.dumps(new)}"
     if difference:
         raise InputError(f"its checkpoint has {difference}: {MEND}", directory)
 

@@ -5,6 +5,7 @@ a round costs is that of one film a node, however many ranks there are, and sums
 """
 
 import time
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -50,10 +51,13 @@ class Films:
         self.pending.clear()
         self._common.sync()
 
-    def take_up(self, sums: np.ndarray) -> None:
-        """Begin with these sums of an earlier run; on one rank alone, before the first round ends."""
-        self.merged.sums[:] = sums
+    def take_up(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Begin with the sums in a checkpoint; on one rank alone, before the first round ends."""
+        self.merged.sums[:] = arrays["sums"]
         self.merged.touched[:] = True
+        if self.second.slots > 0:
+            self.second.sums[:] = arrays["second"]
+            self.second.touched[:] = True
 
     def total(self) -> np.ndarray | None:
         """Collective, after a meeting. The merged sums of all ranks on the root, None elsewhere; not to be written, and

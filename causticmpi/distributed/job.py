@@ -53,6 +53,7 @@ def render_one(
     with watch.stage("load"):
         scene = share_scene(world, given.scene, config.watertight)
     run = Run(world, given, scene, claim(world, given.request), watch, flag, snapshots)
+    del given  # a checkpoint's arrays are as large as several films
     stopped = run.asked_to_stop()
     if not stopped:
         run.forecast()

@@ -6,7 +6,7 @@ A write that fails in between is told once and tried again at its next turn: the
 import math
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import msgspec
@@ -73,12 +73,12 @@ class Keeper:
             )
         return elapsed - self.last_save + 2 * round_seconds + self.save_cost > max(self.checkpoint, dearest)
 
-    def save(self, state: State, sums: np.ndarray, taken: float, last: bool) -> None:
+    def save(self, state: State, arrays: Mapping[str, np.ndarray], taken: float, last: bool) -> None:
         """Write the checkpoint of this state, which is that of `taken` seconds."""
         if self.checkpoint == 0:
             return
         began = time.monotonic()
-        checkpoint = Checkpoint(msgspec.to_builtins(state), {"sums": sums})
+        checkpoint = Checkpoint(msgspec.to_builtins(state), dict(arrays))
         if self.keep("checkpoint", lambda: save_checkpoint(self.directory, checkpoint, self._ours), last):
             self._ours = True
         self.save_cost = time.monotonic() - began

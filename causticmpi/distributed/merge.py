@@ -83,6 +83,12 @@ def read_part(directory: Path) -> Part:
     if state is None:
         why = "; ".join(damaged) or "it has no checkpoint"
         raise InputError(f"nothing to merge ({why}): render it with output.checkpoint > 0", directory)
+    if state.budget.until is not None:
+        raise InputError(
+            f"was to stop at the error {state.budget.until}: its passes hang on its picture and cannot weigh it; "
+            "allowed: runs without until; render it anew without",
+            directory,
+        )
     try:
         report = msgspec.json.decode((directory / REPORT).read_bytes())
         with OpenEXR.File(str(directory / EXR), separate_channels=True) as file:

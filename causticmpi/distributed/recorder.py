@@ -2,7 +2,7 @@
 
 import shlex
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from causticmpi.distributed.clock import Stopwatch
 from causticmpi.distributed.keeper import Keeper
 from causticmpi.distributed.prepare import Forecasting, PreparedScene
 from causticmpi.distributed.result import Merged, Result
+from causticmpi.distributed.until import HELD
 from causticmpi.distributed.world import World
 from causticmpi.output.directory import UNFINISHED, Claim
 from causticmpi.output.progress import Progress
@@ -48,10 +49,11 @@ class Recorder:
         limit = None if budget.time is None else float(budget.time)
         self.progress = Progress(limit, budget.spp)
         self.result = Result(self.config, claim, source, features)
-        checkpoint = output.checkpoint if budget.until is None else 0.0  # its halves are not kept
-        slots, resumed = len(features), self.before is not None
-        limited = limit is not None
-        self.keeper = Keeper(claim.directory, output.interval, checkpoint, slots, limited=limited, resumed=resumed)
+        slots = len(features) * (1 if budget.until is None else HELD)
+        limited, resumed = limit is not None, self.before is not None
+        self.keeper = Keeper(
+            claim.directory, output.interval, output.checkpoint, slots, limited=limited, resumed=resumed
+        )
 
     def take_forecast(self, made: Forecasting) -> None:
         """The preprocess is done: tell its warnings, and whether a resumed run has the maps it had."""
@@ -95,10 +97,10 @@ class Recorder:
             stages=dict(self.watch.stages),
         )
 
-    def save(self, state: State, sums: np.ndarray, taken: float, last: bool) -> None:
+    def save(self, state: State, arrays: Mapping[str, np.ndarray], taken: float, last: bool) -> None:
         """Write a checkpoint of the sums after `taken` seconds."""
         with self.watch.stage("write"):
-            self.keeper.save(state, sums, taken, last)
+            self.keeper.save(state, arrays, taken, last)
 
     def write_picture(self, merged: Merged, elapsed: Callable[[], float], last: bool) -> None:
         """Write picture and report."""

@@ -64,7 +64,7 @@ class Run:
         self.world, self.config, self.scene, self.watch, self.flag = world, config, scene, watch, flag
         self.snapshots = snapshots
         self.state: State | None = world.broadcast(given.state)
-        self.sums_before = given.sums
+        self.arrays_before = given.arrays
         if self.state is not None:
             watch.go_on_from(self.state.elapsed, self.state.stages)
         self.clock = BudgetClock(self.state)
@@ -75,7 +75,7 @@ class Run:
         self.films = Films(world, config.film.pixels, quantum, light, halves=config.budget.until is not None)
         self.film, self.pending = self.films.merged, self.films.pending
         self.precision = Precision()
-        self.until = None if config.budget.until is None else Until(float(config.budget.until))
+        self.until = None if config.budget.until is None else Until(float(config.budget.until), given.arrays)
         self.limit = float(config.budget.time) if config.budget.time is not None else None
         self.rounds = self.round_passes = 0
         self.stopped_by = 0
@@ -125,7 +125,8 @@ class Run:
             if dropped:
                 break
             self._merge_round(passes)
-            if self.stopped_by or self._good_enough():
+            over = self._good_enough()  # of a stopped run too: the next start would not ask about this round
+            if self.stopped_by or over:
                 break
             passes = self._meet_for_next_round()
             if self.snapshots is not None and self.snapshots.due(self.film.passes):
@@ -170,10 +171,10 @@ class Run:
         if self.state is None:
             return
         self.film.passes, self.rounds = self.state.passes, self.state.rounds
-        if self.sums_before is not None:
-            self.films.take_up(self.sums_before)
+        if self.arrays_before is not None:
+            self.films.take_up(self.arrays_before)
             self.film.rays, self.film.nonfinite = self.state.rays, self.state.nonfinite
-            self.sums_before = None
+            self.arrays_before = None
 
     def _must_stop(self) -> bool:
         self.world.pulse()
@@ -206,6 +207,8 @@ class Run:
         """Passes of the next round; 0 ends the run. Rank 0's word counts."""
         length = self.round_passes
         if self.until is not None:
+            if self.until.over:
+                return 0
             length = min(length, self.until.to_border(self.film.passes))
         if self.config.budget.spp is not None:
             return max(0, min(length, self.config.budget.spp - self.film.passes))
@@ -260,20 +263,22 @@ class Run:
         with self.watch.stage("reduce"):
             counts = self.world.reduce_sum(np.array([self.film.rays, self.film.nonfinite], np.int64))
             sums = self.films.total()  # the ranks have met over the counts
-            second = self.films.total_of_second() if last and self.until is not None else None
+            second = self.films.total_of_second() if self.until is not None else None
             usage = self.world.gather(measure_usage(self.watch, self.batches))
         if self.world.is_root:
             self.world.pulse(writing=True)
             assert sums is not None and counts is not None and usage is not None
             parts: Sequence[Part] = [(sums, self.film.passes)]
+            arrays = {"sums": sums}
             if self.until is not None and second is not None:
+                arrays |= self.until.kept(second)
                 parts = self.until.parts(sums, second, self.film.passes)
             reached = self.until is not None and self.until.over
             merged = Merged(parts, self.film.passes, int(counts[0]), int(counts[1]), usage, reached)
             if checkpoint:
                 complete = last and not self.stopped_by
                 state = self.recorder.state_of(merged, self.rounds, self.round_passes, self.clock, complete)
-                self.recorder.save(state, sums, taken, last)
+                self.recorder.save(state, arrays, taken, last)
             if picture:
                 self.recorder.write_picture(merged, self.clock.elapsed, last)
             self.world.pulse(writing=False)

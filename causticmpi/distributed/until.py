@@ -7,7 +7,7 @@ it has no say in, each half is a plain mean, so both are unbiased, and so is the
 at once, and nothing is wasted; where they do not, the half that has ended goes on only to decide for the other.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -19,6 +19,9 @@ FIRST = 8
 STEP = 2.0**0.25
 """Ratio of passes from one question to the next: a picture is better than wanted by up to this factor."""
 
+HELD = 6
+"""Films in a checkpoint, at most: all passes, the second half, and each half at the last question and at its end."""
+
 Part = tuple[np.ndarray, int]
 """Sums over passes (see render.film), and their number."""
 
@@ -26,14 +29,16 @@ Part = tuple[np.ndarray, int]
 class Until:
     """When to stop. Questions and halves depend on the number of passes alone: the same on every rank.
 
-    target: relMSE of the whole picture, as `Precision` has it.
+    target: relMSE of the whole picture, as `Precision` has it; before: what a checkpoint `kept`, to go on from.
     """
 
-    def __init__(self, target: float) -> None:
+    def __init__(self, target: float, before: Mapping[str, np.ndarray] | None = None) -> None:
         self.target = target
         self._borders = [0, FIRST]  # passes of each half at the questions
         self._ended: list[Part | None] = [None, None]
         self._precision = (Precision(), Precision())
+        if before is not None:
+            self._go_on_from(before)
 
     def half(self, passes: int) -> int:
         """The half, 0 or 1, that the pass with this number belongs to."""
@@ -67,6 +72,24 @@ class Until:
                 self._ended[other] = (halves[other].copy(), each)
         return self.over
 
+    def kept(self, second: np.ndarray) -> dict[str, np.ndarray]:
+        """What a checkpoint holds besides the sums of all passes, not copied. second: sums of the second half."""
+        ends = [0 if end is None else end[1] for end in self._ended]
+        arrays = {"second": second, "ended": np.array(ends, np.int64)}
+        for half in (0, 1):
+            end = self._ended[half]
+            if end is not None:
+                arrays[f"ended {half}"] = end[0]
+            arrays |= {f"{name} {half}": array for name, array in self._precision[half].kept().items()}
+        return arrays
+
+    def _go_on_from(self, before: Mapping[str, np.ndarray]) -> None:
+        for half, passes in enumerate(before["ended"].tolist()):
+            if passes > 0:
+                self._ended[half] = (before[f"ended {half}"].copy(), passes)
+            names = [name for name in ("before", "errors", "passes") if f"{name} {half}" in before]
+            self._precision[half].go_on_from({name: before[f"{name} {half}"] for name in names})
+
     @property
     def over(self) -> bool:
         """Whether both halves have ended each other."""
@@ -85,3 +108,8 @@ class Until:
         before, after = self._around(passes)
         in_second = before + max(0, passes - before - after)
         return [first or (whole - second, passes - in_second), last or (second.copy(), in_second)]
+
+
+def ended(kept: Mapping[str, np.ndarray]) -> bool:
+    """Whether the run whose checkpoint holds these arrays reached its wanted error."""
+    return "ended" in kept and bool(np.all(kept["ended"] > 0))

@@ -7,6 +7,7 @@ variance is large, and mean(variance / R^2) would come out too small, by a facto
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -83,6 +84,19 @@ class Precision:
         total = _group_variance(sums, self._before, (before, passes - before), floor)
         self.errors.append(total / (3 * len(sums)))
         self.passes.append(passes - before)
+
+    def kept(self) -> dict[str, np.ndarray]:
+        """What `go_on_from` needs, not copied; nothing before the first group. When the next one ends is not in it."""
+        if self._before is None:
+            return {}
+        counts = np.array([self.first, *self.passes], np.int64)
+        return {"before": self._before, "errors": np.array(self.errors, np.float64), "passes": counts}
+
+    def go_on_from(self, kept: Mapping[str, np.ndarray]) -> None:
+        """Begin with what another one has `kept`."""
+        if kept:
+            self._before, self.errors = kept["before"].copy(), kept["errors"].tolist()
+            self.first, *self.passes = kept["passes"].tolist()
 
     @property
     def error(self) -> float | None:
