@@ -94,7 +94,7 @@ def _read(world: World, read_plan: Callable[[], Plan]) -> tuple[Plan, Scenes, di
         try:
             plan = read_plan()
             check_directory(plan.directory, force=True)
-            scenes = _examine(plan)
+            scenes = _examine(plan, world.node_size)
             for part in plan.parts:
                 directory = reference_directory(plan, part, scenes.hashes[part.name])
                 found = read_reference(directory, part, scenes.hashes[part.name])
@@ -106,10 +106,10 @@ def _read(world: World, read_plan: Callable[[], Plan]) -> tuple[Plan, Scenes, di
     return world.broadcast(plan), world.broadcast(scenes), references
 
 
-def _examine(plan: Plan) -> Scenes:
+def _examine(plan: Plan, ranks: int) -> Scenes:
     hashes, specular = {}, {}
     for part in plan.parts:
-        scene = sound_scene(part.base, part.scene_file)
+        scene = sound_scene(part.base, part.scene_file, ranks)
         hashes[part.name], specular[part.name] = scene.content_hash, has_specular(scene)
     return Scenes(hashes, specular)
 

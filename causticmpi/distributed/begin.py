@@ -43,13 +43,14 @@ class Input:
     arrays: Mapping[str, np.ndarray] | None = None
 
 
-def sound_scene(config: RenderConfig, scene_file: Path) -> SceneData:
-    """The scene as the config wants it seen. Raises InputError for whatever of the two cannot be rendered here."""
+def sound_scene(config: RenderConfig, scene_file: Path, ranks: int = 1) -> SceneData:
+    """The scene as the config wants it seen. ranks: on this node. Raises InputError for whatever of these cannot be
+    rendered here."""
     scene = load_scene(scene_file)
     if config.camera is not None:
         scene = with_camera(scene, config.camera)
     emission_aim(config.forecast.aim, scene)
-    check_memory(config, scene)
+    check_memory(config, scene, ranks)
     return scene
 
 
@@ -61,7 +62,7 @@ def read_input(world: World, read_request: Callable[[], Request], watch: Stopwat
         try:
             with watch.stage("load"):
                 request = read_request()
-                scene = sound_scene(request.config, request.scene_file)
+                scene = sound_scene(request.config, request.scene_file, world.node_size)
             check_directory(request.config.output.directory, force=request.force, resume=request.resume)
             given = _with_state(Input(request, scene)) if request.resume else Input(request, scene)
         except InputError as found:

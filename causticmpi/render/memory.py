@@ -1,7 +1,10 @@
 """The memory that a render will need, told before it is asked for."""
 
+import math
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 from causticmpi.config.records import RenderConfig
 from causticmpi.errors import InputError
@@ -44,22 +47,63 @@ def memory_needed(config: RenderConfig, scene: SceneData) -> Memory:
     pixels = config.film.pixels
     channels = CHANNELS + (LIGHT_CHANNELS if traces_light(config) and has_specular(scene) else 0)
     rank = PROCESS_MB + pixels * 4 * 9 / MB + len(scene.triangles) * TRIANGLE_BYTES / MB  # films of one pass: float32
-    node = pixels * 2 * 8 * channels / MB  # merged and pending sums: float64
+    films = 2 if config.budget.until is None else 8  # merged and pending sums; with `until` those of its halves
+    node = pixels * films * 8 * channels / MB  # float64
     node += sum(getattr(scene, name).nbytes for name in scene.ARRAYS) / MB
     photon = PHOTON_BYTES + config.forecast.neighbours * NEIGHBOUR_BYTES
     node += wanted_photons(config, scene) * photon / MB
     return Memory(rank, node)
 
 
-def check_memory(config: RenderConfig, scene: SceneData) -> None:
-    """Raises InputError where this machine could not hold the render even with a single rank."""
+def cgroup_limit(groups: Path = Path("/proc/self/cgroup"), mount: Path = Path("/sys/fs/cgroup")) -> float:
+    """MB that this process's cgroups allow (v2 and v1), inf where nothing says so. groups: the kernel's list."""
+    least = math.inf
+    for line in _text(groups).splitlines():
+        _, controllers, own = line.split(":", 2)
+        if controllers == "":
+            root, name = mount, "memory.max"
+        elif "memory" in controllers.split(","):
+            root, name = mount / "memory", "memory.limit_in_bytes"
+        else:
+            continue
+        here = root / own.lstrip("/")  # not there where a container sees its own group as the root
+        for folder in (here, *here.parents):  # a group above limits those below
+            allowed = _text(folder / name).strip()
+            least = min(least, int(allowed) / MB if allowed.isdigit() else math.inf)
+            if folder == root:
+                break
+    return least
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text()
+    except OSError:
+        return ""
+
+
+def memory_there(env: Mapping[str, str] = os.environ) -> tuple[float, str]:
+    """MB that the ranks on this node may take, and in words what says so, "" for the machine itself."""
+    job = env.get("SLURM_MEM_PER_NODE", "")
+    return min(
+        (os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / MB, ""),
+        (cgroup_limit(), " (the limit of its cgroup)"),
+        (float(job) if job.isdigit() and int(job) > 0 else math.inf, " (SLURM_MEM_PER_NODE)"),  # 0: all of it
+    )
+
+
+def check_memory(config: RenderConfig, scene: SceneData, ranks: int = 1) -> None:
+    """Raises InputError where this machine, or what this job may have of it, could not hold the render with so many
+    ranks."""
     needed = memory_needed(config, scene)
-    there = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / MB
-    if needed.rank + needed.node > there:
+    there, source = memory_there()
+    total = ranks * needed.rank + needed.node
+    if total > there:
         film = config.film
         photons = wanted_photons(config, scene)
         raise InputError(
             f"found a film of {film.width} x {film.height} with {film.pixels} pixels to render"
-            f"{f' and {photons} photons' if photons else ''}, which need {(needed.rank + needed.node) / 1024:.0f} GB; "
-            f"allowed: what fits the {there / 1024:.0f} GB of this machine; render parts by film.crop, or less"
+            f"{f' and {photons} photons' if photons else ''}, which need {total / 1024:.1f} GB"
+            f"{f' on {ranks} ranks' if ranks > 1 else ''}; allowed: what fits the {there / 1024:.1f} GB of this machine"
+            f"{source}; render parts by film.crop, or less{', or take fewer ranks of a node' if ranks > 1 else ''}"
         )
