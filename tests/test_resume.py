@@ -154,6 +154,7 @@ def test_nothing_to_do(begun: Path, capfd: pytest.CaptureFixture[str]) -> None:
 
 def test_a_time_budget_that_is_spent(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     out = render_here(tmp_path / "out", *TINY, "--time", "0.01s", "--method", "pt")
+    assert ", over its budget of 0.01 s: preparing took " in capfd.readouterr().out
     passes, before = read_report(out)["passes"], tree(out)
     assert resume(out, "--time", "0.01s") == 0 and tree(out) == before
     assert f"holds {passes} pass" in capfd.readouterr().out

@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from causticmpi.distributed.until import FIRST, Until
+from causticmpi.distributed.until import EARLIEST, FIRST, Until
 from causticmpi.output.picture import estimated_relmse
 from causticmpi.render.film import CHANNELS, resolve
 from causticmpi.render.precision import FEWEST_GROUPS
@@ -105,6 +105,12 @@ def frozen(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     return copies
 
 
+def test_remarks() -> None:
+    rule = Until(0.01)
+    assert rule.remark(EARLIEST - 1) == f" (wanted: 0.01, not asked for before {EARLIEST} passes)"
+    assert rule.remark(EARLIEST) == " (wanted: 0.01)"
+
+
 def test_parts() -> None:
     """One picture of all passes where both halves end at once, two of their own lengths where they do not."""
     quiet, loud = np.array([1.0, 1.001] * 100), np.array([1.0, 60.0] * 100)
@@ -125,7 +131,7 @@ def test_parts() -> None:
 
     soon = [n for n in range(1, 100) if Until(1).asks(n)][FEWEST_GROUPS]  # the first question with an answer
     _, over, parts = run(quiet, quiet, 200)
-    assert over and [n for _, n in parts] == [soon]
+    assert over and [n for _, n in parts] == [soon] and soon == EARLIEST
     # The first half is good at once and ends the second; the second never is, so the first goes on to the last pass.
     asked = [n for n in range(1, 100) if Until(1).asks(n)][-1]
     _, over, parts = run(quiet, loud, asked)

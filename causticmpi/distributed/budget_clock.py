@@ -51,6 +51,14 @@ class BudgetClock:
         """Whether the time for tracing is spent."""
         return self.tracing() > self.for_tracing or self.elapsed() > self.end
 
+    def overrun(self, limit: float, passes: int) -> str:
+        """For the last line of a run of one round, of so many passes: how it came over its budget, "" if it did not."""
+        if self.preparing + self.tracing_kept <= self.end or self.elapsed() <= limit:
+            return ""
+        first = "the first pass" if passes == 1 else f"the first round of {passes} passes"
+        took = f"preparing took {self.preparing:.1f} s, {first}, always finished, {self.tracing_kept:.1f} s"
+        return f", over its budget of {limit:g} s: {took}"
+
     @contextlib.contextmanager
     def standing_still(self) -> Iterator[None]:
         """The block is writing, not tracing."""

@@ -123,14 +123,14 @@ class Recorder:
             (self.result.directory / UNFINISHED).unlink(missing_ok=True)
         return self.keeper.failure()
 
-    def tell_result(self, passes: int, ranks: int, stopped_by: int, missed: float | None) -> None:
-        """The last line. missed: the wanted error, if it was not reached."""
+    def tell_result(self, passes: int, ranks: int, stopped_by: int, wanted: str, overrun: str) -> None:
+        """The last line. wanted, overrun: what is to be said of the wanted error and of the budget."""
         error = self.result.error
         words = f"{passes} pass{'' if passes == 1 else 'es'} in {self.watch.elapsed():.1f} s on {ranks} rank"
         words += "s" if ranks > 1 else ""
         words += f", {self.config.method} (biased)" if self.config.method in BIASED else ""
         words += "" if error is None else f", estimated relMSE {error:.2g}"
-        words += "" if missed is None else f" (wanted: {missed:.2g})"
+        words += wanted + overrun
         if stopped_by:
             words += f", stopped by signal {stopped_by}"
             if not passes:

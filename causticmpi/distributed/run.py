@@ -300,5 +300,7 @@ class Run:
         if failure:
             raise RunError(failure)
         if self.world.is_root:
-            missed = None if self.until is None or self.until.over else self.until.target
-            self.recorder.tell_result(passes, self.world.size, self.stopped_by, missed)
+            wanted = "" if self.until is None else self.until.remark(passes)
+            late = self.limit is not None and self.rounds == 1
+            overrun = self.clock.overrun(float(self.limit or 0), passes) if late else ""
+            self.recorder.tell_result(passes, self.world.size, self.stopped_by, wanted, overrun)

@@ -19,6 +19,8 @@ FIRST = 8
 STEP = 2.0**0.25
 """Ratio of passes from one question to the next: a picture is better than wanted by up to this factor."""
 
+EARLIEST = 40
+"""Passes of a run at the first question that has an answer: no run ends before."""
 HELD = 6
 """Films in a checkpoint, at most: all passes, the second half, and each half at the last question and at its end."""
 
@@ -94,6 +96,14 @@ class Until:
     def over(self) -> bool:
         """Whether both halves have ended each other."""
         return all(self._ended)
+
+    def remark(self, passes: int) -> str:
+        """For the last line of a run: the error that was missed, and whether fewer passes than EARLIEST are why or the
+        least there could be; "" where there is nothing to say."""
+        if not self.over:
+            soon = f", not asked for before {EARLIEST} passes" if passes < EARLIEST else ""
+            return f" (wanted: {self.target:.2g}{soon})"
+        return f" (wanted: {self.target:.2g}, not asked for before {EARLIEST} passes)" if passes == EARLIEST else ""
 
     def parts(self, whole: np.ndarray, second: np.ndarray, passes: int) -> Sequence[Part]:
         """What the picture is the plain mean of: all passes at once, or two halves that ended apart.
