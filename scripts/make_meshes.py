@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Write scenes/meshes/*.ply anew: `python scripts/make_meshes.py [DIRECTORY]`. Same bytes on every run.
+"""Write scenes/meshes/*.ply anew, the same bytes on every run.
 
 The benchmark's tessellations: flat-shaded triangles, so that every renderer sees the same surface.
 """
 
+import argparse
 import math
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -78,4 +78,6 @@ def main(directory: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else MESHES)
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("directory", type=Path, nargs="?", default=MESHES, help="for other places than scenes/meshes")
+    main(parser.parse_args().directory)
