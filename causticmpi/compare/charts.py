@@ -44,9 +44,12 @@ def error_chart(result: PartResult, palette: Mapping[str, str], against: str) ->
     figure = Figure(figsize=(13, 9.6), layout=ConstrainedLayoutEngine(h_pad=0.12))
     panels = figure.subplots(2, 3)
     for panel, (metric, name) in zip(panels.flat, CURVES.items(), strict=True):
-        for group in result.longest:
-            _curve(panel, group, metric, palette[group.label], against)
-        panel.set(xscale="log", yscale="log", title=name + (" [radiance²]" if metric == "mse" else ""))
+        panel.set(title=name + (" [radiance²]" if metric == "mse" else ""))
+        drawn = [_curve(panel, group, metric, palette[group.label], against) for group in result.longest]
+        if not any(drawn):
+            nothing_to_show(panel, "no error above the reference's own")
+            continue
+        panel.set(xscale="log", yscale="log")
         panel.set_xlabel("wall-clock time [s]" if against == "seconds" else "passes (samples per pixel)")
         if metric != "flip" and against == "passes":
             _guide(panel)
@@ -62,17 +65,25 @@ def error_chart(result: PartResult, palette: Mapping[str, str], against: str) ->
     return figure
 
 
-def _curve(panel: "Axes", group: Group, metric: str, colour: str, against: str) -> None:
+def nothing_to_show(panel: "Axes", why: str) -> None:
+    """Leave a panel empty: a logarithmic axis has no place for what is not positive."""
+    panel.set(xticks=[], yticks=[])
+    panel.text(0.5, 0.5, why, transform=panel.transAxes, ha="center", va="center", color="#666666")
+
+
+def _curve(panel: "Axes", group: Group, metric: str, colour: str, against: str) -> bool:
+    """Returns whether there was a point that could be drawn."""
     fit = group.slope(metric)
     label = group.name + (f" ({fit.mean:.2f})" if np.isfinite(fit.mean) else "")
     curves = group.curves(metric, against)
     if not curves:
-        return
+        return False
     if len(curves) > 1:
         for curve in curves:
             panel.plot(*_positive(curve).T, color=colour, linewidth=0.7, alpha=0.35)
     mean = _positive(mean_curve(curves))
     panel.plot(*mean.T, "-o", color=colour, markersize=3.5, linewidth=1.8, label=label)
+    return len(mean) > 0
 
 
 def _positive(curve: np.ndarray) -> np.ndarray:

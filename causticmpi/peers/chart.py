@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from causticmpi.compare.charts import plain_ticks
+from causticmpi.compare.charts import nothing_to_show, plain_ticks
 from causticmpi.peers.results import ALL, Contender, Point, averaged
 
 if TYPE_CHECKING:
@@ -28,8 +28,12 @@ def chart(scenes: Mapping[str, Sequence[Point]]) -> "Figure":
     lines: dict[str, Any] = {}
     for row, (scene, points) in zip(panels, scenes.items(), strict=True):
         for panel, (metric, title) in zip(row, METRICS.items(), strict=True):
+            panel.set(title=f"{scene}: {title}")
             lines |= _draw(panel, averaged(points), metric)
-            panel.set(xscale="log", yscale="log", title=f"{scene}: {title}", xlabel="CPU seconds, one thread")
+            if not any(getattr(point, metric) > 0 for point in points):
+                nothing_to_show(panel, "no error above the reference's own")
+                continue
+            panel.set(xscale="log", yscale="log", xlabel="CPU seconds, one thread")
             panel.grid(True, which="major", color="#dddddd", linewidth=0.8)
             panel.set_axisbelow(True)
             plain_ticks(panel)
