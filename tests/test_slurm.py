@@ -104,6 +104,31 @@ def test_bad_input_ends_a_job_at_once(lab: SlurmLab, submit: Callable[..., str],
     assert (tmp_path / "job.out").read_text().count("causticmpi: ") == 1
 
 
+LAUNCHERS = {
+    "saves, then fails": ("echo > unfinished; exit 255", True),
+    "fails": ("exit 1", False),
+    "ends by itself": ("exit 0", False),
+}
+
+
+@pytest.mark.parametrize("name", LAUNCHERS)
+def test_back_into_the_queue_only_with_a_state(name: str, tmp_path: Path) -> None:
+    """A launcher that is told to stop: its ranks save, and it fails over a second signal; it fails and leaves the old
+    marker; it ends, for the run was done. No SLURM is needed."""
+    told, requeued = LAUNCHERS[name]
+    (tmp_path / "unfinished").touch()  # of an earlier start
+    launcher = f"told() {{ {told}; }}; trap told USR1; kill -USR1 $PPID; while :; do /bin/sleep 0.05; done"
+    for program, does in {"scontrol": 'echo "$@" > requeued', "sleep": "exec /bin/sleep 0.3"}.items():
+        (tmp_path / program).write_text(f"#!/bin/sh\n{does}\n")
+        (tmp_path / program).chmod(0o755)
+    (tmp_path / "launcher").write_text(f"#!/bin/bash\n{launcher}\n")
+    words = f". {ROOT}/slurm/run_to_the_end.sh; run_to_the_end unfinished bash launcher"
+    env = os.environ | {"PATH": f"{tmp_path}:{os.environ['PATH']}", "SLURM_JOB_ID": "7"}
+    subprocess.run(["bash", "-c", words], cwd=tmp_path, env=env, timeout=PATIENCE)
+    asked = tmp_path / "requeued"
+    assert (asked.read_text() == "requeue 7\n") if requeued else not asked.exists()
+
+
 @pytest.mark.parametrize("script", sorted((ROOT / "slurm").iterdir()), ids=lambda path: path.name)
 def test_batch_scripts_are_bash(script: Path) -> None:
     assert subprocess.run(["bash", "-n", str(script)]).returncode == 0
