@@ -123,19 +123,24 @@ def _offer(x, y, z, i, p, radius2, most, distance, row, found):
 
 
 @inline
+def _gap(x, y, z, axis, middle, p):
+    """Signed distance of p from the plane at row `middle`; the rows before it lie on the negative side."""
+    k = axis[middle]
+    if k == 0:
+        return p[0] - x[middle]
+    if k == 1:
+        return p[1] - y[middle]
+    return p[2] - z[middle]
+
+
+@inline
 def run_of(x, y, z, axis, low, high, p, most):
     """Walk down the tree over rows [low, high), not empty, to the run of at most `most` >= LEAF rows on whose side of
     every plane p lies. Returns its rows (low, high)."""
     a, b = np.int64(low), np.int64(high)
     while b - a > most:
         middle = (a + b) >> 1
-        k = axis[middle]
-        if k == 0:
-            gap = p[0] - x[middle]
-        elif k == 1:
-            gap = p[1] - y[middle]
-        else:
-            gap = p[2] - z[middle]
+        gap = _gap(x, y, z, axis, middle, p)
         if gap < ZERO:
             b = middle
         else:
@@ -161,13 +166,7 @@ def nearest(x, y, z, axis, low, high, p, radius2, most, distance, row, stack, pl
             continue
         while b - a > LEAF:
             middle = (a + b) >> 1
-            k = axis[middle]
-            if k == 0:
-                gap = p[0] - x[middle]
-            elif k == 1:
-                gap = p[1] - y[middle]
-            else:
-                gap = p[2] - z[middle]
+            gap = _gap(x, y, z, axis, middle, p)
             gap2 = gap * gap
             if gap2 < radius2:
                 found, radius2 = _offer(x, y, z, middle, p, radius2, most, distance, row, found)
