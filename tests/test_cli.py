@@ -123,13 +123,17 @@ def test_every_verb_that_writes_takes_either_name_of_its_directory(line: str) ->
 
 def test_check(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     target = tmp_path / "some" / "out"
-    assert main(["check", str(CORNELL), "--set", f"output.directory={target}", "--set", "film.width=100"]) == 0
+    command = ["check", str(CORNELL), "--set", f"output.directory={target}", "--set", "film.width=100"]
+    assert main([*command, "-j", "20"]) == 0
     told = capfd.readouterr()
-    assert told.err == "" and tree(tmp_path) == {}
+    assert tree(tmp_path) == {} and all("compiling kernels" in line for line in told.err.splitlines())
     assert "cornell.yaml: sound\n" in told.out
     assert "12 triangles, 2 spheres" in told.out and "100 x 640 pixels, method iws+cf, budget 240.0 s" in told.out
     assert "forecast from 200000 photons" in told.out and "MB per rank" in told.out
-    assert re.search(r"time     [\d.]+ s of preparation, then .* passes in the time on 1 rank, \d+ on 20\n", told.out)
+    each, node, there = map(int, re.findall(r"(\d+) MB", told.out))
+    assert abs(20 * each + node - there) < 20 and " MB with 20 here\n" in told.out
+    assert re.search(r"time     [\d.]+ s of preparation, then .* passes in the time with 20 ranks, a core", told.out)
+    assert main([*command, "-j", "9999999"]) == 2 and "on 9999999 ranks; allowed" in capfd.readouterr().err
 
 
 @pytest.mark.mpi

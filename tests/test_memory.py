@@ -43,6 +43,10 @@ def test_a_job_may_have_less_than_the_machine(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(memory, "cgroup_limit", lambda: 64.0)
     assert memory_there({}) == (64.0, " (the limit of its cgroup)")
     assert memory_there({"SLURM_MEM_PER_NODE": "32"}) == (32.0, " (SLURM_MEM_PER_NODE)")
+    by_cpu = {"SLURM_MEM_PER_CPU": "16", "SLURM_CPUS_ON_NODE": "3"}
+    assert memory_there(by_cpu) == (48.0, " (SLURM_MEM_PER_CPU on 3 CPUs)")
+    for untold in ({"SLURM_MEM_PER_CPU": "16"}, by_cpu | {"SLURM_MEM_PER_CPU": "0"}, {"SLURM_CPUS_ON_NODE": "3"}):
+        assert memory_there(untold)[0] == 64
     for said in ("0", "many", ""):
         assert memory_there({"SLURM_MEM_PER_NODE": said})[0] == 64
     monkeypatch.setattr(memory, "cgroup_limit", lambda: math.inf)

@@ -6,9 +6,6 @@ from causticmpi.cli.render import overrides
 from causticmpi.config.load import load_config, scene_path
 from causticmpi.output.directory import check_directory
 
-MANY = 20
-"""Ranks that the time is told for besides one: the paper's."""
-
 
 def check(arguments: argparse.Namespace) -> int:
     """Validate all that `render` would read; print what it will need. Raises InputError."""
@@ -19,7 +16,7 @@ def check(arguments: argparse.Namespace) -> int:
     from causticmpi.render.methods import BIASED, FORECASTING
 
     config = load_config(arguments.config, overrides(arguments))
-    scene = sound_scene(config, scene_path(arguments.config, config))
+    scene = sound_scene(config, scene_path(arguments.config, config), arguments.ranks)
     check_directory(config.output.directory, force=True)
     x0, y0, x1, y1 = config.film.window
     photons = wanted_photons(config, scene)
@@ -34,6 +31,9 @@ def check(arguments: argparse.Namespace) -> int:
     print(f"caustics {how.format(photons) if photons else 'not forecast'}")
     for warning in of_scene(config, scene):
         print(f"warning  {warning}")
-    print(f"memory   about {memory.rank:.0f} MB per rank and {memory.node:.0f} MB per node", flush=True)
-    print(f"time     {estimate(config, scene).text(config, MANY)}")
+    each = f"{memory.rank:.0f} MB per rank and {memory.node:.0f} MB per node"
+    ranks = arguments.ranks
+    print(f"memory   about {each}: {memory.total(ranks):.0f} MB with {ranks} here", flush=True)
+    who = "1 rank" if ranks == 1 else f"{ranks} ranks, a core each"
+    print(f"time     {estimate(config, scene).text(config, ranks)} with {who}")
     return 0

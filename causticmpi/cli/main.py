@@ -38,6 +38,7 @@ def build_parser() -> argparse.ArgumentParser:
     check = _verb(verbs, "check", "validate config and scene, estimate memory and time of a render")
     _input(check)
     _picture(check)
+    _ranks(check, "the ranks that the render will have on this machine (default: 1)")
     compare = _verb(verbs, "compare", "equal-time runs of several methods: tables, charts, one HTML report")
     _input(compare, "configs/compare/smoke.yaml")
     _output(compare, "output directory (default: the config's)")
@@ -93,8 +94,8 @@ def _output(verb: argparse.ArgumentParser, purpose: str, required: bool = False)
     verb.add_argument("-o", "--out", metavar="DIR", required=required, help=purpose)
 
 
-def _ranks(verb: argparse.ArgumentParser) -> None:
-    verb.add_argument("-j", dest="ranks", metavar="RANKS", type=count, default=1, help="start this many ranks here")
+def _ranks(verb: argparse.ArgumentParser, purpose: str = "start this many ranks here") -> None:
+    verb.add_argument("-j", dest="ranks", metavar="RANKS", type=count, default=1, help=purpose)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

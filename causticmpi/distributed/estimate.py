@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from causticmpi.config.records import RenderConfig
 from causticmpi.distributed.clock import Stopwatch
 from causticmpi.distributed.prepare import needs_forecast, prepare_method, share_scene
-from causticmpi.distributed.warmup import warm_up
+from causticmpi.distributed.warmup import compiling_is_told, warm_up
 from causticmpi.distributed.world import SerialWorld
 from causticmpi.kernels.pixels import pixel_order
 from causticmpi.render.rounds import Batches
@@ -20,21 +20,20 @@ class Estimate:
     preparing: float
     per_pass: float
 
-    def text(self, config: RenderConfig, many: int) -> str:
-        """One line on what the budget means with one rank and with `many`, each on a core like this one."""
+    def text(self, config: RenderConfig, ranks: int) -> str:
+        """One line on what the budget means with so many ranks, each on a core like this one."""
         costs = f"{self.preparing:.2g} s of preparation, then {self.per_pass:.2g} s of a core for each pass:"
         if config.budget.spp is not None:
-            one, more = (self.preparing + config.budget.spp * self.per_pass / ranks for ranks in (1, many))
-            return f"{costs} about {one:.2g} s in all on 1 rank, {more:.2g} s on {many}"
+            return f"{costs} about {self.preparing + config.budget.spp * self.per_pass / ranks:.2g} s in all"
         left = max(0.0, float(config.budget.time or 0) - self.preparing)
-        one, more = (max(1, int(left / self.per_pass * ranks)) for ranks in (1, many))
-        return f"{costs} about {one} passes in the time on 1 rank, {more} on {many}"
+        return f"{costs} about {max(1, int(left / self.per_pass * ranks))} passes in the time"
 
 
 def estimate(config: RenderConfig, scene: SceneData) -> Estimate:
     """Measure on the scene as the config sees it (`sound_scene`); compiles kernels first where they are not on disk."""
     world = SerialWorld()
-    warm_up(config, True, needs_forecast(config, scene))
+    with compiling_is_told():
+        warm_up(config, True, needs_forecast(config, scene))
     watch = Stopwatch(from_now=True)
     prepared = share_scene(world, scene, config.watertight)
     film = config.film

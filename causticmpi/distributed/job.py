@@ -1,9 +1,8 @@
 """A render from config to picture: what is read and shared before the first ray, the run, and what is left after it."""
 
-import sys
-import threading
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 
 from causticmpi.config.records import RenderConfig
 from causticmpi.distributed.begin import Request, claim, nothing_to_do, read_input
@@ -12,14 +11,10 @@ from causticmpi.distributed.prepare import needs_forecast, share_scene
 from causticmpi.distributed.run import Run
 from causticmpi.distributed.signals import StopFlag
 from causticmpi.distributed.snapshots import Snapshots
-from causticmpi.distributed.warmup import KERNELS, warm_up
+from causticmpi.distributed.warmup import compiling_is_told, warm_up
 from causticmpi.distributed.world import World
 from causticmpi.errors import RunError
-from causticmpi.kernels.jit import compiled_anew
 from causticmpi.scene.data import SceneData
-
-PATIENT = 2.0
-"""Seconds of loading kernels after which it is told if they have to be compiled."""
 
 
 def render(world: World, read_request: Callable[[], Request]) -> int:
@@ -74,20 +69,10 @@ def render_one(
 def _warm_up(world: World, config: RenderConfig, scene: SceneData | None, watch: Stopwatch) -> None:
     """Compile once per node. Compiling lies outside the budget and is reported, loading compiled code lies within."""
     began = time.perf_counter()
-    watcher = threading.Timer(PATIENT, _tell_of_compiling)
-    watcher.daemon = True
-    if world.is_root:
-        watcher.start()
     forecasting = world.broadcast(scene is not None and needs_forecast(config, scene))
-    compiled = world.first_on_node(lambda: warm_up(config, world.is_root, forecasting))
-    watcher.cancel()
+    with compiling_is_told() if world.is_root else nullcontext():
+        compiled = world.first_on_node(lambda: warm_up(config, world.is_root, forecasting))
     spent = time.perf_counter() - began
     watch.add("warmup", spent)
     if world.all_max(int(compiled)):
         watch.compiling += spent
-
-
-def _tell_of_compiling() -> None:
-    if compiled_anew(KERNELS):
-        told = "compiling kernels, once for each method: a minute or two that no budget counts"
-        print(f"causticmpi: {told}", file=sys.stderr, flush=True)

@@ -1,5 +1,10 @@
 """Compile, or load from disk, every kernel of a method before the clock matters: once per node, the others asleep."""
 
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import numpy as np
 from msgspec.structs import replace
 
@@ -67,6 +72,8 @@ KERNELS = [
     features.first_hits,
 ]
 """Every kernel of the program, asked after their cache misses."""
+PATIENT = 2.0
+"""Seconds of loading kernels after which it is told if they have to be compiled."""
 
 
 def tiny_scene() -> SceneData:
@@ -155,3 +162,21 @@ def warm_up(config: RenderConfig, root: bool, forecasting: bool) -> bool:
         Film(16, 2.0**-40, light=True).add_light(light_film)
     scene.embree.close()
     return compiled_anew(KERNELS) > before
+
+
+@contextmanager
+def compiling_is_told() -> Iterator[None]:
+    """Around `warm_up`: whoever waits learns why, on stderr, where kernels are compiled rather than loaded."""
+    watcher = threading.Timer(PATIENT, _tell_of_compiling)
+    watcher.daemon = True
+    watcher.start()
+    try:
+        yield
+    finally:
+        watcher.cancel()
+
+
+def _tell_of_compiling() -> None:
+    if compiled_anew(KERNELS):
+        told = "compiling kernels, once for each method: a minute or two that no budget counts"
+        print(f"causticmpi: {told}", file=sys.stderr, flush=True)

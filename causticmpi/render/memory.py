@@ -32,6 +32,10 @@ class Memory:
     rank: float
     node: float
 
+    def total(self, ranks: int) -> float:
+        """MB of a node with so many ranks."""
+        return ranks * self.rank + self.node
+
 
 def wanted_photons(config: RenderConfig, scene: SceneData) -> int:
     """Caustic points that the method will collect in this scene; 0 for a method without."""
@@ -84,11 +88,15 @@ def _text(path: Path) -> str:
 
 def memory_there(env: Mapping[str, str] = os.environ) -> tuple[float, str]:
     """MB that the ranks on this node may take, and in words what says so, "" for the machine itself."""
-    job = env.get("SLURM_MEM_PER_NODE", "")
+    node, cpu, cpus = (
+        int(value) if value.isdigit() and int(value) > 0 else math.inf  # 0: all of it
+        for value in (env.get(f"SLURM_{name}", "") for name in ("MEM_PER_NODE", "MEM_PER_CPU", "CPUS_ON_NODE"))
+    )
     return min(
         (os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / MB, ""),
         (cgroup_limit(), " (the limit of its cgroup)"),
-        (float(job) if job.isdigit() and int(job) > 0 else math.inf, " (SLURM_MEM_PER_NODE)"),  # 0: all of it
+        (float(node), " (SLURM_MEM_PER_NODE)"),
+        (float(cpu * cpus), f" (SLURM_MEM_PER_CPU on {cpus} CPUs)"),
     )
 
 
@@ -97,7 +105,7 @@ def check_memory(config: RenderConfig, scene: SceneData, ranks: int = 1) -> None
     ranks."""
     needed = memory_needed(config, scene)
     there, source = memory_there()
-    total = ranks * needed.rank + needed.node
+    total = needed.total(ranks)
     if total > there:
         film = config.film
         photons = wanted_photons(config, scene)
