@@ -190,6 +190,8 @@ def test_two_ranks_make_the_same_reference_check(compared: Path, tmp_path: Path)
         ("{method: pt}, budget: {spp: 32}", "{method: pt}, budget: {}", 16, "neither time nor spp"),
         ("paper: cornell", "paper: teapot", 6, "allowed: one of cornell, figurines, ring"),
         ("    paper", "    variants: [cv]\n    paper", 6, 'did you mean "cf"?'),
+        ("    paper", "    budgets: []\n    paper", 6, "budgets: found []; allowed: a list"),
+        ("    paper", "    budgets: [0s]\n    paper", 6, "scenes[0].budgets[0]: found"),
     ],
 )  # fmt: skip
 def test_bad_input_is_one_line_and_nothing_is_written(

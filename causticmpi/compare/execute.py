@@ -8,11 +8,10 @@ from functools import partial
 from pathlib import Path
 
 from causticmpi.compare.files import FINISHED, SNAPSHOTS, is_finished, mark_finished, run_key
-from causticmpi.compare.plan import Plan, Run
+from causticmpi.compare.plan import Plan, Run, reference_runs
 from causticmpi.compare.reference import (
     ReferencePicture,
     assemble,
-    needed_batches,
     read_reference,
     reference_directory,
     told,
@@ -124,7 +123,7 @@ def _missing_batches(
         if part.name in references or directory in tasks:  # parts may share a reference
             continue
         found = [
-            Task(run, run_key(run, scene_hash, world.size), False) for run in needed_batches(plan, part, directory)
+            Task(run, run_key(run, scene_hash, world.size), False) for run in reference_runs(plan, part, directory)
         ]
         tasks[directory] = [task for task in found if not is_finished(task.run, task.key)]
     return [task for missing in tasks.values() for task in missing]
@@ -140,7 +139,7 @@ def _assembled(plan: Plan, name: str, scenes: Scenes) -> ReferencePicture:
     directory = reference_directory(plan, part, scenes.hashes[name])
     found = read_reference(directory, part, scenes.hashes[name])  # another part may have made it
     if found is None:
-        batches = needed_batches(plan, part, directory)
+        batches = reference_runs(plan, part, directory)
         found = assemble(part, batches, directory, scenes.hashes[name], plan.config.reference.block)
     print(f"{directory}: {told(found.facts)}", flush=True)
     if not found.facts["agrees"]:

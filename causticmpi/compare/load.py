@@ -1,25 +1,20 @@
-"""A compare config and the render configs it names -> a validated plan of all runs."""
+"""A compare config and the render configs it names, each read once -> a validated plan; every error names its line."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import msgspec
+from msgspec.structs import replace
 
-from causticmpi.compare.plan import Part, Plan, Run
-from causticmpi.compare.records import Batches, CompareConfig, Overrides, Scene, Variant, plain_text
+from causticmpi.compare.plan import Part, Plan, compared_runs
+from causticmpi.compare.records import Batches, CompareConfig, Overrides, Scene, plain_text
 from causticmpi.config.check import check_budget
 from causticmpi.config.convert import convert, nearest
-from causticmpi.config.load import load_config, overridden, scene_path
+from causticmpi.config.load import config_of, overridden, read_config, scene_path
 from causticmpi.config.records import RenderConfig
 from causticmpi.config.units import parse_time
 from causticmpi.config.yaml_source import Keys, YamlSource, read_yaml
-from causticmpi.errors import InputError
 from causticmpi.render.methods import BIASED
 
-NO_PROGRESSIVE_PICTURES = 1e9
-"""Seconds between pictures: a run of a comparison writes at its end alone, so that its report means it is whole."""
-LONGEST_TIMING = 20.0
-"""Seconds: a run that is only timed needs no more."""
 OURS = ("scene", "seed", "budget", "output")
 """Keys of a render config that only the comparison sets."""
 PICTURE = ("film", "camera")
@@ -33,63 +28,35 @@ def load_plan(file: str | Path, overrides: Mapping[str, str] | Sequence[str] = (
     if overrides:
         source = overridden(source, overrides)
         config = convert(source, (), source.data, CompareConfig)
-    reader = _Reader(source, config, Path(out if out is not None else config.output))
-    reader.check_labels()
-    parts = tuple(reader.part(i, scene) for i, scene in enumerate(config.scenes))
-    names = [part.name for part in parts]
-    for i, name in enumerate(names):
-        if name in names[:i]:
-            raise source.error(("scenes", i), f'found the name "{name}" twice; allowed: one each; write `name: ...`')
-    for part in parts:
-        reader.check_reference(part)
-    return Plan(config, source.file, reader.directory, Path(config.reference.directory), parts)
-
-
-def batch_runs(plan: Plan, part: Part, batches: Batches, role: str, directory: Path) -> list[Run]:
-    """The renders a reference of this part consists of. role: estimate or check; their seeds do not overlap."""
-    first = plan.config.reference.seed + (0 if role == "estimate" else plan.config.reference.estimate.batches)
-    settings = [*plain_text(part.scene.set), *plain_text(batches.set)]
-    config = load_config(plan.file.parent / part.scene.config, settings)
-    budget = check_budget(batches.budget)
-    seconds = None if budget.time is None else float(budget.time)
-    return [
-        Run(
-            part.name,
-            f"reference, {role}",
-            seconds,
-            first + i,
-            _placed(config, directory / role / str(i), first + i, seconds, budget.spp),
-            part.scene_file,
-        )
-        for i in range(batches.batches)
-    ]
-
-
-def _placed(config: RenderConfig, directory: Path, seed: int, seconds: float | None, spp: int | None) -> RenderConfig:
-    replace = msgspec.structs.replace
-    return replace(
-        config,
-        seed=seed,
-        budget=replace(config.budget, time=seconds, spp=spp, until=None),
-        output=replace(config.output, directory=str(directory), interval=NO_PROGRESSIVE_PICTURES, checkpoint=0.0),
-    )
+    reader = _Reader(source, config)
+    reader.check_names()
+    reader.check_overrides()
+    directory = Path(out if out is not None else config.output)
+    parts = tuple(reader.part(i, scene, directory) for i, scene in enumerate(config.scenes))
+    return Plan(config, source.file, directory, Path(config.reference.directory), parts)
 
 
 class _Reader:
-    """From a config to its parts; every error names the line to mend."""
+    """What the compare config says, checked; and the render configs that it leads to."""
 
-    def __init__(self, source: YamlSource, config: CompareConfig, directory: Path) -> None:
-        self.source, self.config, self.directory = source, config, directory
+    def __init__(self, source: YamlSource, config: CompareConfig) -> None:
+        self.source, self.config = source, config
+        self.renders: dict[Path, YamlSource] = {}
 
-    def check_labels(self) -> None:
-        """Raises InputError for a label used twice, or named and not there."""
+    def check_names(self) -> None:
+        """Raises InputError for a name or label used twice, or a label named and not there."""
         labels = [variant.label for variant in self.config.variants]
         for i, label in enumerate(labels):
             if label in labels[:i]:
                 raise self.source.error(
                     ("variants", i, "label"), f'found "{label}" twice; allowed: one variant per label'
                 )
+        names = [scene.name or Path(scene.config).stem for scene in self.config.scenes]
         for i, scene in enumerate(self.config.scenes):
+            if names[i] in names[:i]:
+                raise self.source.error(
+                    ("scenes", i), f'found the name "{names[i]}" twice; allowed: one each; write `name: ...`'
+                )
             for wanted in scene.variants or ():
                 if wanted not in labels:
                     raise self.source.error(
@@ -97,61 +64,59 @@ class _Reader:
                         f'found "{wanted}"; allowed: {", ".join(labels)}{nearest(wanted, labels)}',
                     )
 
-    def part(self, index: int, scene: Scene) -> Part:
+    def check_overrides(self) -> None:
+        """Raises InputError for one of a key that is not its own to set."""
+        for i, scene in enumerate(self.config.scenes):
+            self._forbid(("scenes", i, "set"), scene.set, OURS)
+        for i, variant in enumerate(self.config.variants):
+            self._forbid(("variants", i, "set"), variant.set, (*OURS, *PICTURE))
+        self._forbid(("reference", "estimate", "set"), self.config.reference.estimate.set, (*OURS, *PICTURE))
+        self._forbid(("reference", "check", "set"), self.config.reference.check.set, (*OURS, *PICTURE))
+
+    def part(self, index: int, scene: Scene, directory: Path) -> Part:
         """One scene with all its runs."""
         keys: Keys = ("scenes", index)
-        self._forbid((*keys, "set"), scene.set, OURS)
-        try:
-            load_config(self._beside(scene.config))
-        except InputError as error:
-            raise self.source.error((*keys, "config"), str(error)) from None
+        file = self.source.file.parent / scene.config
+        with self.source.placing((*keys, "config")):
+            if file not in self.renders:
+                self.renders[file] = read_config(file)
+                config_of(self.renders[file])
         base = self._merged((*keys, "set"), scene, {})
         self._check_closeups(keys, scene, base)
         budgets = self._budgets(keys, scene)
-        variants = [v for v in self.config.variants if scene.variants is None or v.label in scene.variants]
-        if all(variant.timing_only for variant in variants):
+        variants = [
+            (variant, self._merged(("variants", i, "set"), scene, variant.set))
+            for i, variant in enumerate(self.config.variants)
+            if scene.variants is None or variant.label in scene.variants
+        ]
+        if all(variant.timing_only for variant, _ in variants):
             raise self.source.error((*keys, "variants"), "found none to compare; allowed: at least one not timing_only")
-        name = scene.name or Path(scene.config).stem
-        scene_file = scene_path(self._beside(scene.config), base)
-        runs = tuple(
-            Run(name, variant.label, seconds, seed, config, scene_file)
-            for seconds in budgets
-            for variant in variants
-            for seed, config in self._seeded(name, scene, variant, seconds, budgets[0])
+        name = scene.name or file.stem
+        scene_file = scene_path(file, base)
+        seeds = range(1, (scene.seeds or self.config.seeds) + 1)
+        return Part(
+            name=name,
+            title=scene.title or name,
+            scene=scene,
+            base=base,
+            scene_file=scene_file,
+            labels=tuple(variant.label for variant, _ in variants),
+            budgets=budgets,
+            runs=compared_runs(name, scene_file, variants, budgets, seeds, directory / "runs" / name),
+            reference=None if scene.reference is None else self.source.file.parent / scene.reference,
+            estimate=self._batch(("reference", "estimate"), scene, self.config.reference.estimate),
+            check=self._batch(("reference", "check"), scene, self.config.reference.check),
         )
-        labels = tuple(variant.label for variant in variants)
-        reference = None if scene.reference is None else self._beside(scene.reference)
-        return Part(name, scene.title or name, scene, base, scene_file, labels, budgets, runs, reference)
 
-    def check_reference(self, part: Part) -> None:
-        """Raises InputError where the reference of this part could not be made as the config says."""
-        for role in ("estimate", "check"):
-            batches: Batches = getattr(self.config.reference, role)
-            keys: Keys = ("reference", role)
-            self._forbid((*keys, "set"), batches.set, (*OURS, *PICTURE))
-            method = self._merged((*keys, "set"), part.scene, batches.set).method
-            if method in BIASED:
-                raise self.source.error(
-                    (*keys, "set"), f"found {method}, which is biased; allowed: an unbiased method; write method: pt"
-                )
-            try:
-                check_budget(batches.budget)
-            except InputError as error:
-                raise self.source.error((*keys, "budget"), str(error)) from None
-
-    def _seeded(
-        self, name: str, scene: Scene, variant: Variant, seconds: float, shortest: float
-    ) -> Iterator[tuple[int, RenderConfig]]:
-        """The seeds of a variant at one budget, with the config of each."""
-        keys: Keys = ("variants", self.config.variants.index(variant), "set")
-        self._forbid(keys, variant.set, (*OURS, *PICTURE))
-        config = self._merged(keys, scene, variant.set)
-        folder = self.directory / "runs" / name / variant.label.replace(" ", "_")
-        if not variant.timing_only:
-            for seed in range(1, (scene.seeds or self.config.seeds) + 1):
-                yield seed, _placed(config, folder / f"{seconds:g}s-{seed}", seed, seconds, None)
-        elif seconds == shortest:
-            yield 1, _placed(config, folder / f"{seconds:g}s-1", 1, min(seconds, LONGEST_TIMING), None)
+    def _batch(self, keys: Keys, scene: Scene, batches: Batches) -> RenderConfig:
+        """The config of a batch of this scene's reference, budget included."""
+        config = self._merged((*keys, "set"), scene, batches.set)
+        if config.method in BIASED:
+            raise self.source.error(
+                (*keys, "set"), f"found {config.method}, which is biased; allowed: an unbiased method; write method: pt"
+            )
+        with self.source.placing((*keys, "budget")):
+            return replace(config, budget=check_budget(batches.budget))
 
     def _forbid(self, keys: Keys, overrides: Overrides, forbidden: Sequence[str]) -> None:
         for key in overrides:
@@ -162,10 +127,9 @@ class _Reader:
 
     def _merged(self, keys: Keys, scene: Scene, overrides: Overrides) -> RenderConfig:
         """The render config of a scene with overrides; an error names the compare config's line as well."""
-        try:
-            return load_config(self._beside(scene.config), [*plain_text(scene.set), *plain_text(overrides)])
-        except InputError as error:
-            raise self.source.error(keys, str(error)) from None
+        render = self.renders[self.source.file.parent / scene.config]
+        with self.source.placing(keys):
+            return config_of(render, [*plain_text(scene.set), *plain_text(overrides)])
 
     def _check_closeups(self, keys: Keys, scene: Scene, base: RenderConfig) -> None:
         x0, y0, x1, y1 = base.film.window
@@ -178,15 +142,9 @@ class _Reader:
 
     def _budgets(self, keys: Keys, scene: Scene) -> tuple[float, ...]:
         """In seconds, ascending, scaled."""
-        own = scene.budgets is not None
-        found: list[str | float] = scene.budgets if scene.budgets is not None else self.config.budgets
+        here = keys if scene.budgets is not None else ()
         times = set()
-        for i, text in enumerate(found):
-            try:
+        for i, text in enumerate(self.config.budgets if scene.budgets is None else scene.budgets):
+            with self.source.placing((*here, "budgets", i)):
                 times.add(parse_time(text) * self.config.scale)
-            except InputError as error:
-                raise self.source.error((*keys, "budgets", i) if own else ("budgets", i), str(error)) from None
         return tuple(sorted(times))
-
-    def _beside(self, path: str) -> Path:
-        return self.source.file.parent / path

@@ -26,7 +26,7 @@ class Scene(Record):
     title: str | None = None
     set: Overrides = {}
     variants: list[str] | None = None
-    budgets: list[str | float] | None = None
+    budgets: Annotated[list[str | float], Meta(min_length=1)] | None = None
     seeds: PositiveInt | None = None
     closeups: list[Rectangle] = []
     reference: str | None = None

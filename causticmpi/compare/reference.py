@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from causticmpi.compare.files import read_layers, read_report
-from causticmpi.compare.load import batch_runs
 from causticmpi.compare.plan import Part, Plan, Run
 from causticmpi.compare.statistics import FEW_HITS, Agreement, agreement, block_means, rare_hits
 from causticmpi.errors import InputError, reason
@@ -71,15 +70,6 @@ def read_reference(directory: Path, part: Part, scene_hash: str) -> ReferencePic
         raise InputError(f"it is the reference of another film ({facts.get('film')}, needed {film}): {mend}", directory)
     layers = read_layers(directory / PICTURE)
     return ReferencePicture(layers.rgb, layers.caustic, layers.variance, facts)
-
-
-def needed_batches(plan: Plan, part: Part, directory: Path) -> list[Run]:
-    """All renders that the reference of `part` is made of."""
-    reference = plan.config.reference
-    return [
-        *batch_runs(plan, part, reference.estimate, "estimate", directory),
-        *batch_runs(plan, part, reference.check, "check", directory),
-    ]
 
 
 def assemble(part: Part, batches: Sequence[Run], directory: Path, scene_hash: str, block: int) -> ReferencePicture:

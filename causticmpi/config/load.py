@@ -33,14 +33,23 @@ def load_config(path: str | Path, overrides: Mapping[str, str] | Sequence[str] =
     ({"--spp": "16"} or ["--spp=16"]). The file is validated whole before they apply. `budget.time` replaces the
     file's `budget.spp`, and the reverse. Raises InputError that names file:line, or the override to blame.
     """
+    return config_of(read_config(path), overrides)
+
+
+def read_config(path: str | Path) -> YamlSource:
+    """The source of a config file whose values are valid as they stand, for `config_of`. Raises InputError."""
     source = read_yaml(path)
     if isinstance(source.data, dict) and {"scene", "shapes"} & source.data.keys() == {"shapes"}:
         raise InputError("it is a scene; allowed: a config, which names one by `scene: FILE`", source.file)
+    _validated(source)
+    return source
+
+
+def config_of(source: YamlSource, overrides: Mapping[str, str] | Sequence[str] = ()) -> RenderConfig:
+    """The config of a source that `read_config` gave, with overrides as for `load_config`. Raises InputError."""
+    source = overridden(source, overrides)
     config = _validated(source)
-    if overrides:
-        source = overridden(source, overrides)
-        config = _validated(source)
-    scene = scene_path(path, config)
+    scene = scene_path(source.file, config)
     if not scene.is_file():
         reason = "is a directory" if scene.is_dir() else "no such file"
         raise source.error(("scene",), f"cannot read {scene}: {reason}; the path is relative to the config file")
