@@ -128,23 +128,15 @@ def agreement(a: np.ndarray, b: np.ndarray) -> Agreement:
     return Agreement(sidak(float(p.min()), p.size), float(z.max()), int(p.size), relative, sidak(above, p.size))
 
 
-def rare_hits(values: np.ndarray) -> float:
-    """How many rare bright hits make the spread of (m, k) independent values; inf where it shows no skew.
+def fewest_hits(values: np.ndarray) -> float:
+    """How many rare bright hits make the spread of (m, k) independent values, at least; inf without spread.
 
     The sum of h for each of a Poisson number n of hits has the variance n h^2 and the third moment n h^3, so that over
     all columns together n = m (sum of variances)^3 / (sum of third moments)^2; hits of unlike strengths count as the
     few that carry the variance. With few hits t-tests are void: columns that got none are dark and seem sure of it.
-    Raises ValueError for m < 3.
-    """
-    second, third, noise = _moments(values)
-    return len(values) * second**3 / third**2 if third > noise else float("inf")
-
-
-def fewest_hits(values: np.ndarray) -> float:
-    """As `rare_hits`, but where (m, k) values show no skew: the hits from which on they would not, inf without spread.
-
-    That is m^2 / 96 where one column has all the variance, and k^2 times as many where k columns share it: 16 values
-    cannot tell three hits in one column from a million.
+    Where the values show no skew, it is the number of hits from which on they would not: m^2 / 96 where one column has
+    all the variance, and k^2 times as many where k columns share it. So 16 values cannot tell three hits in one column
+    from a million. Columns of one hit's colours are no columns of their own. Raises ValueError for m < 3.
     """
     second, third, noise = _moments(values)
     return len(values) * second**3 / max(third, noise) ** 2 if noise > 0 else float("inf")
