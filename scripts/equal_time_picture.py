@@ -1,7 +1,7 @@
-#!/usr/bin/env python3
+#!/usr/bin/env -S sh -c '"${0%/*}"/setup_venv mpi && exec "${0%/*}"/../.venv/bin/python "$0" "$@"'
 """The README's picture: methods side by side after the same wall-clock time, each with its estimated relMSE.
 
-.venv/bin/python scripts/equal_time_picture.py docs/equal_time.png --time 60s -j 2 configs/ring.yaml configs/pool.yaml
+scripts/equal_time_picture.py docs/equal_time.png --time 60s -j 2 configs/ring.yaml configs/pool.yaml
 """
 
 import argparse

@@ -1,6 +1,7 @@
+#!/usr/bin/env -S sh -c '"${0%/*}"/setup_venv mpi,test && exec "${0%/*}"/../.venv/bin/python "$0" "$@"'
 """Runs with faults injected, and what they cost: a table in Markdown.
 
-    .venv/bin/python scripts/faults.py [--repetitions 20] [--only kill,stop] [--out faults.md]
+    scripts/faults.py [--repetitions 20] [--only kill,stop] [--out faults.md]
 
 Each repetition renders a small picture on two ranks with a checkpoint every INTERVAL seconds, injects the fault at a
 random moment (seeded), looks at what is left, goes on with --resume and compares all layers with those of a run that

@@ -1,6 +1,7 @@
+#!/usr/bin/env -S sh -c '"${0%/*}"/setup_venv mpi,test && exec "${0%/*}"/../.venv/bin/python "$0" "$@"'
 """Damage files of a run at random, resume it, and count what becomes of it: a table in Markdown.
 
-    .venv/bin/python scripts/fuzz.py [CASES] [FIRST]
+    scripts/fuzz.py [CASES] [FIRST]
 
 Each case damages a checkpoint, both of them, the config, the scene or a mesh, seeded by its number. Allowed are a
 refusal with one line that leaves everything as it was, and the very bits of the undisturbed run. Exits with 1 if

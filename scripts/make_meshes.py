@@ -1,4 +1,4 @@
-#!/usr/bin/env python3
+#!/usr/bin/env -S sh -c '"${0%/*}"/setup_venv mpi && exec "${0%/*}"/../.venv/bin/python "$0" "$@"'
 """Write scenes/meshes/*.ply anew, the same bytes on every run.
 
 The benchmark's tessellations: flat-shaded triangles, so that every renderer sees the same surface.

@@ -1,10 +1,10 @@
-#!/usr/bin/env python3
+#!/usr/bin/env -S sh -c '"${0%/*}"/setup_venv mpi,peers && exec "${0%/*}"/../.venv/bin/python "$0" "$@"'
 """Path tracing of causticmpi beside Mitsuba 3 (`path`) in one run: paths per CPU second and error at equal time.
 
-    python scripts/peer_mitsuba.py configs/cornell.yaml [--rounds 5] [--tessellate LEVEL]
+    scripts/peer_mitsuba.py configs/cornell.yaml [--rounds 5] [--tessellate LEVEL]
 
-needs `pip install -e '.[peers]'` and an LLVM library (16 or later; DRJIT_LIBLLVM_PATH names one). Errors at equal
-time, other methods and renderers: scripts/peers. Both render the same triangles, spheres, camera and lights;
+needs an LLVM library (16 or later; DRJIT_LIBLLVM_PATH names one). Errors at equal time, other methods and renderers:
+scripts/peers. Both render the same triangles, spheres, camera and lights;
 --tessellate gives Mitsuba icospheres of that level instead of its own spheres. Rounds are interleaved, one core.
 The error is relMSE x CPU seconds = seconds of a render * mean(variance between renders / (mean^2 + 0.01)): what is left
 of it after t seconds is that number over t. The mean is that of squares of 16 pixels in both renderers' pictures, since

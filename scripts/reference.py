@@ -1,5 +1,5 @@
-#!/usr/bin/env python3
-"""Write docs/reference.md anew: `python scripts/reference.py`. Every key of the YAML files, from the records that
+#!/usr/bin/env -S sh -c '"${0%/*}"/setup_venv mpi && exec "${0%/*}"/../.venv/bin/python "$0" "$@"'
+"""Write docs/reference.md anew: `scripts/reference.py`. Every key of the YAML files, from the records that
 validate them; what a key does stands in its record's docstring as "key: ...; key, key: ...".
 """
 
@@ -21,7 +21,7 @@ PAGE = Path(__file__).resolve().parent.parent / "docs" / "reference.md"
 HEAD = """\
 # Every key of every file
 
-Made from the records that validate the files (`python scripts/reference.py`). All files are YAML; a key that is not
+Made from the records that validate the files (`scripts/reference.py`). All files are YAML; a key that is not
 here is an error. `none`: the key may be left out, or be `null`. Where *a number or a list of 3* is allowed, one number
 stands for all three. Spectra are linear Rec.709. On the command line `--set key.sub=value` overrides a key of a config,
 such as `--set forecast.photons=50_000`."""

@@ -1,8 +1,8 @@
-#!/usr/bin/env python3
+#!/usr/bin/env -S sh -c '"${0%/*}"/setup_venv mpi && exec "${0%/*}"/../.venv/bin/python "$0" "$@"'
 """What more ranks bring: measured on this machine, and modelled for 20, 1,000 and 10,000 (docs/scaling.md).
 
-.venv/bin/python scripts/scaling.py               some five minutes on two idle cores
-.venv/bin/python scripts/scaling.py --no-runs     the constants of the model and the model alone
+scripts/scaling.py               some five minutes on two idle cores
+scripts/scaling.py --no-runs     the constants of the model and the model alone
 """
 
 import argparse

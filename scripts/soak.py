@@ -1,7 +1,7 @@
-#!/usr/bin/env python3
+#!/usr/bin/env -S sh -c '"${0%/*}"/setup_venv mpi && exec "${0%/*}"/../.venv/bin/python "$0" "$@"'
 """A long run at many ranks: does memory grow, and is the reduced picture the sum of what the ranks hold?
 
-    .venv/bin/python scripts/soak.py 60min --ranks 20          (-h for all options)
+    scripts/soak.py 60min --ranks 20          (-h for all options)
 
 Samples the resident memory of every rank. Each keeps, besides, the sums of what it traced itself: at every reduction
 rank 0 adds these up, in rank order, and compares them bit for bit. Prints one line a minute and the verdict; exit code

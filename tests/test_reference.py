@@ -17,7 +17,7 @@ reference = runpy.run_path(str(ROOT / "scripts" / "reference.py"))
 
 
 def test_the_page_is_current() -> None:
-    assert reference["PAGE"].read_text() == reference["page"](), "make it anew: python scripts/reference.py"
+    assert reference["PAGE"].read_text() == reference["page"](), "make it anew: scripts/reference.py"
 
 
 def test_every_link_leads_to_a_heading() -> None:

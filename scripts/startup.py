@@ -1,7 +1,7 @@
-#!/usr/bin/env python3
+#!/usr/bin/env -S sh -c '"${0%/*}"/setup_venv mpi && exec "${0%/*}"/../.venv/bin/python "$0" "$@"'
 """Start-up: CPU seconds of runs that do next to nothing, medians of several with the least and the greatest.
 
-    .venv/bin/python scripts/startup [--rounds 5] [--ranks 20] [--cold]
+    scripts/startup.py [--rounds 5] [--ranks 20] [--cold]
 
 `render` makes a picture of 16 x 16 pixels, one sample each, from 64 forecast photons: importing, reading the scene,
 loading the compiled kernels, building Embree's tree, and, beyond the first ray, writing the files and leaving. It is
