@@ -138,7 +138,7 @@ class World(ABC):
         """Collective. Run `action` on the node's leader while the others sleep, then on the others; return its result.
 
         For what is worth doing once per node, such as filling a compile cache. An InputError of a leader is raised on
-        all ranks as AgreedInputError; any other error is raised on the leader, a RuntimeError on its node's others.
+        all ranks as AgreedInputError; any other error is raised on the leader alone, which is to end the others.
         """
 
     @abstractmethod
