@@ -31,7 +31,7 @@ def run_visible(handle, rays, origin, target, out):
 
 
 @numba.njit
-def run_packets(handle, triangle_count, rays, origin, direction, primitive, t):
+def run_packets(handle, triangle_count, rays, origin, direction, primitive, t, neighbours=False):
     """The rays 16 at a time, every fifth lane out of use."""
     for first in range(0, origin.shape[0], 16):
         for i in range(16):
@@ -40,7 +40,10 @@ def run_packets(handle, triangle_count, rays, origin, direction, primitive, t):
                 rays[embree.RAY16 + 16 * (4 + c) + i] = direction[first + i, c]
             rays[embree.RAY16 + 16 * embree.TNEAR + i] = 0
             rays[embree.RAY16 + 16 * embree.TFAR + i] = -1 if i % 5 == 0 else np.inf
-        embree.intersect_packet(handle, rays)
+        if neighbours:
+            embree.intersect_neighbours(handle, triangle_count, rays)
+        else:
+            embree.intersect_packet(handle, rays)
         for i in range(16):
             primitive[first + i], t[first + i] = embree.lane_hit(triangle_count, rays, i)
 
@@ -122,6 +125,17 @@ def test_a_ray_in_a_packet_does_not_know_its_neighbours(soup: Soup, built: Embre
     assert both.sum() > RAYS // 2
     for a, b in zip(answers[0][:2], answers[1][:2], strict=True):
         assert a[both].tobytes() == b[both].tobytes()
+
+
+def test_rays_taken_for_neighbours_hit_the_same(soup: Soup, built: EmbreeScene) -> None:
+    """The same bits from the traversal for coherent rays, even if these are not."""
+    answers = []
+    for neighbours in (False, True):
+        primitive, t = np.empty(RAYS, np.int64), np.empty(RAYS, np.float32)
+        run_packets(built.handle, len(soup.triangles), ray_buffer(), *rays(), primitive, t, neighbours)
+        answers.append((primitive.tobytes(), t.tobytes()))
+    assert len(soup.triangles) <= embree.COARSE
+    assert answers[0] == answers[1] and primitive.max() >= 0
 
 
 def test_intersect_against_brute_force(soup: Soup, built: EmbreeScene) -> None:

@@ -22,8 +22,8 @@ SINGLE_WORDS, PACKET_WORDS = 24, 12 * LANES
 MOST_SINGLE, MOST_PACKETS = 4_000_000, 200_000
 MOST_PHOTONS = 50_000
 """Caustic points whose rays are recorded."""
-NEAREST, SHADOW = 0, 1
-"""Kinds of query: rtcIntersect and rtcOccluded."""
+NEAREST, SHADOW, COHERENT = 0, 1, 2
+"""Kinds of query: rtcIntersect, rtcOccluded, and rtcIntersect with arguments, which say that rays are coherent."""
 QUERIES = ("packets", "kinds", "single", "single_kinds")
 """Suffixes of all queries of a part of the renderer in the file."""
 
@@ -96,7 +96,7 @@ class Recorder:
                 source = numba.carray(_pointer(ray), (PACKET_WORDS,))
                 for i in range(PACKET_WORDS):
                     row[i] = source[i]
-                numba.carray(_pointer(kinds), (MOST_PACKETS // 4,)).view(np.int8)[count[0]] = kind
+                numba.carray(_pointer(kinds), (MOST_PACKETS // 4,)).view(np.int8)[count[0]] = COHERENT if arguments else kind
                 count[0] += 1
             real(valid, scene, ray, arguments)
 

@@ -9,12 +9,13 @@ import msgspec
 import numpy as np
 
 from causticmpi.bench.preprocess import MILLION, preprocess_of
-from causticmpi.bench.record import NEAREST, QUERIES
+from causticmpi.bench.record import COHERENT, NEAREST, QUERIES, SHADOW
 from causticmpi.config.load import load_config, scene_path
 from causticmpi.distributed.clock import Stopwatch
 from causticmpi.distributed.prepare import prepare_forecast, prepare_method, share_scene
 from causticmpi.distributed.world import SerialWorld
 from causticmpi.estimators import full_radiance
+from causticmpi.kernels import embree
 from causticmpi.kernels.embree import (
     GEOM,
     LANES,
@@ -81,7 +82,7 @@ def _replay_single(handle, rays, packets, kinds):
     words = rays.view(np.uint32)
     queries = 0
     for i in range(packets.shape[0]):
-        if kinds[i] != NEAREST:
+        if kinds[i] == SHADOW:
             continue
         for lane in range(LANES):
             if packets[i, 16 * TFAR + lane] < 0:
@@ -99,6 +100,7 @@ def _replay_paths(handle, rays, packets, kinds):
     """Embree alone on recorded packets of both kinds, in order. Returns rays in use."""
     words = rays.view(np.uint32)
     valid, packet = rays.ctypes.data + 4 * VALID, rays.ctypes.data + 4 * RAY16
+    coherent = rays.ctypes.data + 4 * embree.COHERENT
     used = 0
     for i in range(packets.shape[0]):
         for word in range(packets.shape[1]):
@@ -106,8 +108,8 @@ def _replay_paths(handle, rays, packets, kinds):
         for lane in range(LANES):
             used += packets[i, 16 * TFAR + lane] > 0
             words[RAY16 + 16 * GEOM + lane] = MISS
-        if kinds[i] == NEAREST:
-            rtc_intersect16(valid, handle, packet, 0)
+        if kinds[i] != SHADOW:
+            rtc_intersect16(valid, handle, packet, coherent if kinds[i] == COHERENT else 0)
         else:
             rtc_occluded16(valid, handle, packet, 0)
     return used

@@ -3,7 +3,7 @@
 import numpy as np
 
 from causticmpi.kernels import rng, vec
-from causticmpi.kernels.embree import LANES, RAY16, TFAR, intersect_packet
+from causticmpi.kernels.embree import LANES, RAY16, TFAR, intersect_neighbours
 from causticmpi.kernels.jit import inline
 from causticmpi.kernels.vec import INFINITY, ONE, ZERO
 
@@ -49,5 +49,5 @@ def see_packet(scene, camera, rays, pixels, first, seed, pass_index):
         rays[RAY16 + 16 * TFAR + i] = INFINITY
     for i in range(LANES):
         rays[RAY16 + 16 * 3 + i] = ZERO
-    intersect_packet(scene.handle, rays)
+    intersect_neighbours(scene.handle, scene.triangle_count, rays)
     return used

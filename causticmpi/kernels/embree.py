@@ -25,6 +25,7 @@ _BUFFER_INDEX, _BUFFER_VERTEX = 0, 1
 _FORMAT_UINT3, _FORMAT_FLOAT3, _FORMAT_FLOAT4 = 0x5003, 0x9003, 0x9004
 _QUALITY_HIGH, _SCENE_ROBUST = 2, 1 << 2
 _PROPERTY_VERSION, _PROPERTY_NATIVE_16 = 0, 34
+_FLAG_COHERENT = 1 << 16
 MISS = np.uint32(0xFFFFFFFF)
 TRIANGLES, SPHERES = 0, 1
 """Geometry ids inside an Embree scene."""
@@ -196,22 +197,23 @@ def _padded(array: np.ndarray) -> np.ndarray:
 
 
 def ray_buffer(extra: int = 0) -> np.ndarray:
-    """Aligned workspace for one RTCRayHit (float32 words 0 … 31), a valid mask (32 … 47), one RTCRayHit16 (48 … 431)
-    and `extra` words of the caller's own."""
-    words = 48 + 16 * 24 + extra
+    """Aligned workspace for one RTCRayHit (float32 words 0 … 31), a valid mask (32 … 47), RTCIntersectArguments (48 …
+    63), one RTCRayHit16 (64 … 447) and `extra` words of the caller's own."""
+    words = RAY16 + 16 * 24 + extra
     raw = np.zeros(words * 4 + 64, np.uint8)
     start = -raw.ctypes.data % 64
     buffer = raw[start : start + words * 4].view(np.float32)
     integers = buffer.view(np.uint32)
     integers[9] = MISS  # mask of the single ray: hit everything
     integers[VALID : VALID + LANES] = MISS  # all lanes valid: lanes out of use get a negative reach instead
+    integers[COHERENT : COHERENT + 2] = _FLAG_COHERENT, MISS  # all features; no context, no callbacks
     integers[RAY16 + 9 * 16 : RAY16 + 10 * 16] = MISS
     return buffer
 
 
 LANES = 16
-VALID, RAY16 = 32, 48
-"""First words of the valid mask and of the 16-wide ray in `ray_buffer`."""
+VALID, COHERENT, RAY16 = 32, 48, 64
+"""First words of the valid mask, of the arguments for coherent rays and of the 16-wide ray in `ray_buffer`."""
 TNEAR, TFAR, PRIM, GEOM = 3, 8, 17, 18
 """Word offsets of RTCRayHit; in the 16-wide ray word w of lane i lies at RAY16 + 16 w + i."""
 
@@ -242,6 +244,24 @@ def intersect_packet(handle, rays):
     for i in range(LANES):
         words[RAY16 + 16 * GEOM + i] = MISS
     rtc_intersect16(rays.ctypes.data + 4 * VALID, handle, rays.ctypes.data + 4 * RAY16, 0)
+
+
+COARSE = 1 << 17
+"""Up to so many triangles, the rays through 16 neighbouring pixels mostly meet the same ones."""
+
+
+@inline
+def intersect_neighbours(handle, triangle_count, rays):
+    """`intersect_packet`, to the same bits, for the rays of a tile of pixels.
+
+    In a coarse scene the packet goes through the tree as one: 1.3 (a box of two spheres) to 3 times as fast (meshes of
+    12,000 and 33,000 triangles). In a fine one its rays part at once: half as fast (700,000 triangles; all measured).
+    """
+    words = rays.view(np.uint32)
+    for i in range(LANES):
+        words[RAY16 + 16 * GEOM + i] = MISS
+    arguments = rays.ctypes.data + 4 * COHERENT if triangle_count <= COARSE else 0
+    rtc_intersect16(rays.ctypes.data + 4 * VALID, handle, rays.ctypes.data + 4 * RAY16, arguments)
 
 
 @inline
