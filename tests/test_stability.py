@@ -20,7 +20,7 @@ from causticmpi.stability.judge import expected_hits, judge
 from causticmpi.stability.lies import LIES
 from causticmpi.stability.records import Claim, Page
 from causticmpi.stability.row import FINE, Kind, Row, Verdict
-from causticmpi.stability.run import main, read_pages
+from causticmpi.stability.run import _tasks, main, read_pages
 from causticmpi.stability.scenes import TEMPLATES, build, write_scene
 
 PAGES = sorted((REPOSITORY / "configs" / "stability").glob("*.yaml"))
@@ -147,7 +147,7 @@ def test_no_one_is_too_bright_beside_a_blind_rival() -> None:
 def test_blind_cells_are_named_and_not_counted_as_tested() -> None:
     rows = [row(1.0, "pt", 1.0), row(1.0, "cf", 1.0), row(0.1, "pt", 1.0, verdict=BLIND)]
     said = verdicts.unbiasedness(rows)
-    assert "in 2 of 2 tested cells" in said and "too few hits to judge pt at 0.1." in said and "WRONG" not in said
+    assert "in 2 of 2 tested cells" in said and "too few hits to judge: pt at 0.1." in said and "WRONG" not in said
 
 
 def test_too_few_batches_for_a_t_test_are_refused() -> None:
@@ -213,14 +213,14 @@ def _said(made: Page, rows: list[Row]) -> str:
 def test_verdicts_follow_the_figures() -> None:
     rows = [row(1.0, "pt", 1e-3), row(1.0, "cf", 1e-2), row(0.1, "pt", 1.0), row(0.1, "cf", 0.05)]
     said = _said(page(), rows)
-    assert "cf is x 20 as efficient as pt at light 0.1 and x 0.1 at light 1" in said
+    assert "Efficiency over that of pt, best and worst light: cf x 20 at 0.1, x 0.1 at 1." in said
     assert "Unbiased within noise in 4 of 4 tested cells" in said
     rows[3] = row(0.1, "cf", 0.05, verdict=Verdict(Kind.WRONG, "WRONG"))
-    assert "in 3 of 4 tested cells" in _said(page(), rows) and "WRONG in cf at 0.1" in _said(page(), rows)
+    assert "in 3 of 4 tested cells" in _said(page(), rows) and "WRONG: cf at 0.1" in _said(page(), rows)
     assert verdicts.failures(rows) == ["cf at 0.1: WRONG"]
     made = page(reads="setting", sweep={"parameter": "iws.paths", "name": "paths", "values": [1.0, 8.0], "start": 8.0})
     said = _said(made, [row(1.0, "cf", 0.2), row(8.0, "cf", 0.5)])
-    assert "least error at paths 1 (relMSE 0.2), the default 8 has x 2.5 of it" in said
+    assert "cf: least error at 1, the default 8 has x 2.5 of it" in said
 
 
 def test_the_claim_over_seeds_holds_fails_or_is_open() -> None:
@@ -318,7 +318,10 @@ def test_photons_that_are_no_numbers_are_refused_others_taken(tmp_path: Path) ->
         ("--seeds=0", 'scripts/stability: --seeds: found "0"; allowed: an integer >= 1; see scripts/stability --help'),
         ("-j0", '-j: found "0"; allowed: an integer >= 1'),
         ("--scale=-1", '--scale: found "-1"; allowed: a number > 0'),
-        ("--scael=1", 'found "--scael"; allowed: -h, --help, --out, --scale, --seeds, -j; did you mean "--scale"? See'),
+        (
+            "--scael=1",
+            'found "--scael"; allowed: -h, --help, --out, --scale, --seeds, --docs, -j; did you mean "--scale"? See',
+        ),
         ("--scale=nan", '--scale: found "nan"; allowed: a number > 0'),
     ],
 )
@@ -359,7 +362,9 @@ def test_a_small_report(tmp_path: Path) -> None:
         files.append(tmp_path / f"{kind}.yaml")
         files[-1].write_text(SMALL.format(title=kind, kind=kind) + (SWEEP if kind == "sweep" else ""))
     out = tmp_path / "out"
-    assert main([*map(str, files), "--out", str(out), "-j", "1", "--seeds", "2"]) == 0
+    docs = tmp_path / "docs.md"
+    docs.write_text("above\n<!-- seeds: by scripts/stability --docs -->\nstale\n<!-- end of seeds -->\nbelow\n")
+    assert main([*map(str, files), "--out", str(out), "-j", "1", "--seeds", "2", "--docs", str(docs)]) == 0
     html = (out / "report.html").read_text()
     assert html.count("data:image/png") == 4 and not re.search(r'(?:src|href)="(?!data:|#)', html)
     assert "a light needs an area" in html  # the point light is refused, and the cell named
@@ -367,9 +372,54 @@ def test_a_small_report(tmp_path: Path) -> None:
         assert (out / "tables" / f"{kind}.csv").stat().st_size > 0 and (out / "figures" / f"{kind}.png").exists()
     assert (
         "within a factor 1.25 of the true error" in html
-        and "runs until relMSE" in html
-        and "after 1,000 samples" in html
+        and "Error where runs end over the wanted one" in html
+        and "Sum of 1,000 samples" in html
     )
     load_scene(out / "sweep" / "scenes" / "0.yaml")
     assert "Over 2 seeds mixture is at least 0.95 as efficient as pt" in html
     assert (out / "tables" / "sweep-seeds.csv").read_text().splitlines()[1].startswith("0.5,")
+    written = docs.read_text()
+    assert written.startswith("above\n") and written.endswith("\nbelow\n") and "stale" not in written
+    assert (out / "verdicts.md").read_text() in written and "scripts/stability" in written
+    rows = [line.split(" | ") for line in written.splitlines() if line.startswith("| `")]
+    assert [row[0] for row in rows] == [
+        "| `sweep`",
+        *(f"| `{kind}`" for kind in ("sweep", "coverage", "until", "long")),
+    ]
+    assert rows[0][1] == "light 0.5" and {len(row) for row in rows[1:]} == {5}
+    assert set(re.findall(r"<td>(\d+)</td></tr>", html)) and "What each page costs" in html
+
+
+def test_a_document_without_a_place_for_verdicts_is_refused_first(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    docs = tmp_path / "docs.md"
+    docs.write_text("no marks")
+    assert main([str(PAGES[0]), "--out", str(tmp_path / "out"), "--docs", str(docs)]) == 2
+    told = capsys.readouterr().err
+    assert "found no line <!-- verdicts: by scripts/stability --docs -->" in told and told.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_two_pages_of_one_name_are_refused(tmp_path: Path) -> None:
+    (tmp_path / PAGES[0].name).write_text(PAGES[0].read_text())
+    with pytest.raises(InputError, match="two pages named adaptive_hidden; allowed: names that differ"):
+        read_pages([PAGES[0], tmp_path / PAGES[0].name])
+
+
+def test_a_long_cell_does_not_start_last() -> None:
+    """Runs of unknown length first, then the rivals of all cells, then cells with the most contenders and seconds."""
+    pages = {loaded.name: loaded for loaded in read_pages(PAGES)}
+    costs = {
+        name: [task.cost for task in _tasks(pages[name], Path(), 0.5, 1)] for name in ("coverage", "table", "variants")
+    }
+    assert costs["coverage"] == [math.inf] * 3
+    assert costs["table"] == [pytest.approx(1.5)] * 5 + [pytest.approx(1.5 * 8)]
+    assert costs["variants"] == [pytest.approx(0.5 * pages["variants"].page.seconds * (8 + 2 * 2))] * 2
+
+
+def test_pages_of_one_scene_share_their_rivals() -> None:
+    tasks = {loaded.name: _tasks(loaded, Path(), 1.0, 1)[-1] for loaded in read_pages(PAGES)}
+    assert tasks["bound"].same and tasks["bound"].same == tasks["clusters"].same == tasks["table"].same
+    assert len({tasks[name].same for name in ("bound", "photons", "lies", "pm_radius")}) == 4
+    assert tasks["ior"].same is None

@@ -257,29 +257,34 @@ Result = Coverage | Stops | Long
 
 
 def verdict(results: Sequence[Result]) -> str:
-    """One sentence, by the figures."""
-    said = []
-    for found in results:
-        if isinstance(found, Coverage):
-            said.append(
-                f"{found.label}: {100 * found.within:.0f} % of {len(found.estimated)} estimates are within a factor "
-                f"{TRUE_WITHIN} of the true error, {100 * found.covered:.0f} % of the stated 95 % intervals hold it "
-                f"(median factor {np.median(found.factor):.2f}; the true one is known to "
-                f"{100 * found.uncertainty:.1f} %)"
-            )
-        elif isinstance(found, Stops):
-            ratio = found.actual / found.target
-            said.append(
-                f"{found.label}: {len(ratio)} runs until relMSE {found.target:.2g} end with x {ratio.mean():.2f} of it "
-                f"after {found.passes.mean():.0f} passes, mean off by {100 * found.difference:+.2f} % "
-                f"(z {found.z:+.1f}); stopped by their own error they would be off by "
-                f"{100 * found.naive_difference:+.2f} % (z {found.naive_z:+.1f})"
-            )
-        else:
-            said.append(
-                f"{found.label}: after {found.samples:,} samples the sum is off by {found.drift:.1g} of itself "
-                f"(a float32 sum by {found.float32:.1g}), its halves {'agree' if abs(found.z) < 4 else 'DISAGREE'} "
-                f"(z {found.z:+.1f}), the largest sample is "
-                f"{100 * found.share:.2g} % of the pixel"
-            )
-    return "; ".join(said) + "."
+    """One sentence, by the figures; results are all of one kind."""
+    first = results[0]
+    if isinstance(first, Coverage):
+        lead = (
+            f"Of {len(first.estimated)} runs' estimates within a factor {TRUE_WITHIN} of the true error, and of 95 % "
+            "intervals that hold it: "
+        )
+    elif isinstance(first, Stops):
+        lead = "Error where runs end over the wanted one, and their mean's offset (by halves; stopped by own error): "
+    else:
+        lead = f"Sum of {first.samples:,} samples of a pixel: "
+    return lead + "; ".join(map(_said, results)) + "."
+
+
+def _said(found: Result) -> str:
+    if isinstance(found, Coverage):
+        return (
+            f"{found.label} {100 * found.within:.0f} % and {100 * found.covered:.0f} % (median factor "
+            f"{np.median(found.factor):.2f}; the true error is known to {100 * found.uncertainty:.1f} %)"
+        )
+    if isinstance(found, Stops):
+        return (
+            f"{found.label} x {(found.actual / found.target).mean():.2f} in {len(found.actual)} runs, "
+            f"{100 * found.difference:+.2f} % (z {found.z:+.1f}; {100 * found.naive_difference:+.2f} %, "
+            f"z {found.naive_z:+.1f})"
+        )
+    return (
+        f"{found.label} off by {found.drift:.1g} of itself (in float32 by {found.float32:.1g}), halves "
+        f"{'agree' if abs(found.z) < 4 else 'DISAGREE'} (z {found.z:+.1f}), largest sample "
+        f"{100 * found.share:.2g} % of it"
+    )

@@ -158,8 +158,7 @@ def table(name: str, page: Page, claim: Claim, found: Sequence[Cell], seeds: int
 
 
 def _figures(found: Ratio) -> tuple[str, str, str, str, str]:
-    spread = f" ({found.low:.2g} to {found.high:.2g})" if math.isfinite(found.low) else ""
-    mean = f"{number(found.mean)}{spread} [{number(found.least)}]"
+    mean = f"{_spread(found)} [{number(found.least)}]"
     below = f"{found.below} of {found.count}"
     return mean, below, number(found.of_means), number(found.trimmed), found.verdict
 
@@ -182,3 +181,28 @@ def said(page: Page, claim: Claim, found: Sequence[Cell], seeds: int) -> str:
             text += f", {verdict} at {', '.join(named)}" if named else ""
         parts.append(text)
     return f"Over {seeds} seeds {'; '.join(parts)}."
+
+
+def markdown(pages: Sequence[tuple[str, Page, Sequence[Cell]]]) -> str:
+    """The claims of several pages in one table, for a document. pages: name, page and its cells."""
+    columns = (
+        "page", "cell", "over the baseline", f"below {ENOUGH}", "claim", "over the best fixed setting", "trimmed",
+        f"below {KEPT}", "claim", "error / trimmed",
+    )  # fmt: skip
+    rows = [columns, ("---",) * len(columns)]
+    for name, page, cells in pages:
+        for cell in cells:
+            assert page.sweep is not None
+            plain, best = cell.plain, cell.best
+            rows.append((
+                f"`{name}`", f"{page.sweep.name} {cell.value}", f"{page.baseline}: {_spread(plain)}",
+                f"{plain.below} of {plain.count}", plain.verdict, f"{best.over}: {_spread(best)}",
+                number(best.trimmed), f"{best.below} of {best.count}", best.verdict, number(cell.fireflies),
+            ))  # fmt: skip
+    return "\n".join("| " + " | ".join(row) + " |" for row in rows)
+
+
+def _spread(ratio: Ratio) -> str:
+    """Geometric mean and its interval, where there is one."""
+    spread = f" ({ratio.low:.2g} to {ratio.high:.2g})" if math.isfinite(ratio.low) else ""
+    return number(ratio.mean) + spread

@@ -68,6 +68,23 @@ def measure_point(page: Page, place: Path, out: Path, index: int, scale: float, 
     return Point(index, found, _rivals(page, file, RIVAL_SECONDS, scale) if needs_rivals else [], failed)
 
 
+def point_seconds(page: Page, scale: float, turn: int) -> float:
+    """CPU seconds that `measure_point` takes, about, without those of forecasts."""
+    own_rivals = turn == 0 and not rivals_are_common(page)
+    return scale * page.seconds * (len(page.contenders) + own_rivals * RIVAL_SECONDS * len(page.truth.rivals))
+
+
+def rivals_seconds(page: Page, scale: float) -> float:
+    """CPU seconds that `measure_rivals` takes, about."""
+    return scale * page.seconds * COMMON_RIVAL_SECONDS * len(page.truth.rivals)
+
+
+def rivals_of(page: Page, place: Path) -> str:
+    """What `measure_rivals` depends on: the same for pages that can share them."""
+    made = page.truth.rivals, page.room, page.set, page.side, page.seconds, page.batches, page.batch_passes
+    return f"{place} {made}"
+
+
 def measure_rivals(page: Page, place: Path, out: Path, scale: float) -> list[Measured]:
     """The rivals of all cells of a page whose scene is one for all values."""
     return _rivals(page, scene_file(page, place, out, 0), COMMON_RIVAL_SECONDS, scale)
