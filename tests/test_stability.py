@@ -407,19 +407,20 @@ def test_two_pages_of_one_name_are_refused(tmp_path: Path) -> None:
         read_pages([PAGES[0], tmp_path / PAGES[0].name])
 
 
-def test_a_long_cell_does_not_start_last() -> None:
+def test_a_long_cell_does_not_start_last(tmp_path: Path) -> None:
     """Runs of unknown length first, then the rivals of all cells, then cells with the most contenders and seconds."""
     pages = {loaded.name: loaded for loaded in read_pages(PAGES)}
     costs = {
-        name: [task.cost for task in _tasks(pages[name], Path(), 0.5, 1)] for name in ("coverage", "table", "variants")
+        name: [task.cost for task in _tasks(pages[name], tmp_path, 0.5, 1)]
+        for name in ("coverage", "table", "variants")
     }
     assert costs["coverage"] == [math.inf] * 3
     assert costs["table"] == [pytest.approx(1.5)] * 5 + [pytest.approx(1.5 * 8)]
     assert costs["variants"] == [pytest.approx(0.5 * pages["variants"].page.seconds * (8 + 2 * 2))] * 2
 
 
-def test_pages_of_one_scene_share_their_rivals() -> None:
-    tasks = {loaded.name: _tasks(loaded, Path(), 1.0, 1)[-1] for loaded in read_pages(PAGES)}
+def test_pages_of_one_scene_share_their_rivals(tmp_path: Path) -> None:
+    tasks = {loaded.name: _tasks(loaded, tmp_path, 1.0, 1)[-1] for loaded in read_pages(PAGES)}
     assert tasks["bound"].same and tasks["bound"].same == tasks["clusters"].same == tasks["table"].same
     assert len({tasks[name].same for name in ("bound", "photons", "lies", "pm_radius")}) == 4
     assert tasks["ior"].same is None
