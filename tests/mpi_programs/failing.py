@@ -1,5 +1,6 @@
 """Runs that end badly. Arguments: what happens, and on which rank (-1: on all)."""
 
+import atexit
 import os
 import signal
 import sys
@@ -43,6 +44,7 @@ def main() -> int:
     what, rank = sys.argv[1], int(sys.argv[2])
     world = open_world()
     install_abort_hook(world)
+    atexit.register(say, "cleared up")
     say_shared_files()
     world.barrier()
     time.sleep(0.2)  # what was printed arrives before ranks are ended
