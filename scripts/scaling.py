@@ -154,7 +154,7 @@ def film_seconds() -> tuple[float, float, float]:
     """CPU seconds of merging and forgetting a round, of adding a pass with light paths, of an error estimate."""
     from causticmpi.render.film import Film
 
-    film, pending, groups = Film(SLOTS, 2.0**-36, light=True), Film(SLOTS, 2.0**-36, light=True), Precision()
+    film, pending, groups = Film(SLOTS, 2.0**-36, light=True), Film(SLOTS, 2.0**-36, light=True), Precision(640)
     one = np.random.default_rng(1).random((SLOTS, 6)).astype(np.float32)
     found: list[list[float]] = [[], [], []]
 
@@ -208,7 +208,7 @@ def losses(c: Constants, ranks: int, nodes: int, latency: float, bandwidth: floa
     hops = math.ceil(math.log2(nodes))
     pictures = BUDGET / PICTURES_EVERY
     passes = max(1.0, ranks * ROUND / c.pass_seconds)
-    precision = Precision()
+    precision = Precision(640)
     groups = sum(precision.due(int(number * passes)) for number in range(1, int(BUDGET / ROUND) + 1))
     shares = 8 * (1 + math.log(min(passes, 8 * ranks))) + max(0.0, passes / ranks - 8) if ranks > 1 else passes
     volume = SLOTS * CHANNELS * 8

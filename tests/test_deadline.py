@@ -203,7 +203,7 @@ def test_rounds_that_end_at_known_borders(clock: Clock) -> None:
 
     def estimate(value: np.ndarray) -> float:
         clock.now, toy.value = 0.0, value
-        run = SerialRun(toy, 2 * BUDGET, 3, Until(1e-9))
+        run = SerialRun(toy, 2 * BUDGET, 3, Until(1e-9, 1))
         run.trace()
         return run.film.sums[0, 0] / run.film.passes
 

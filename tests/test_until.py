@@ -15,8 +15,8 @@ from causticmpi.render.film import CHANNELS, resolve
 from causticmpi.render.precision import FEWEST_GROUPS
 
 RUNS, MOST = 8000, 1024
-ASKED = [n for n in range(1, MOST + 1) if Until(1).asks(n)]
-SECOND = np.array([Until(1).half(i) for i in range(MOST)], bool)
+ASKED = [n for n in range(1, MOST + 1) if Until(1, 1).asks(n)]
+SECOND = np.array([Until(1, 1).half(i) for i in range(MOST)], bool)
 DIM, BRIGHT, RARE = 1.0, 100.0, 1 / 50
 TRUTH = DIM + RARE * (BRIGHT - DIM)
 TARGET = 0.05
@@ -37,7 +37,7 @@ def mean_of(parts: list[tuple[np.ndarray, int]]) -> float:
 
 def each_other(values: np.ndarray) -> tuple[float, int]:
     """The program's rule: the picture, and the passes of the run."""
-    rule = Until(TARGET)
+    rule = Until(TARGET, 1)
     for n in ASKED:
         whole, second = sums_of(values[:n]), sums_of(values[:n][SECOND[:n]])
         if rule.decide(whole, second, n):
@@ -79,9 +79,9 @@ def test_stopping_by_its_own_error_shows() -> None:
 
 
 def test_halves_alternate_in_blocks_and_are_equal_when_asked() -> None:
-    rule = Until(0.01)
+    rule = Until(0.01, 1)
     halves = [rule.half(i) for i in range(5000)]
-    asked = [n for n in range(1, 5000) if Until(0.01).asks(n)]
+    asked = [n for n in range(1, 5000) if Until(0.01, 1).asks(n)]
     assert asked[0] == 2 * FIRST and len(asked) > 20
     for n in asked:
         assert sum(halves[:n]) == n // 2
@@ -89,7 +89,7 @@ def test_halves_alternate_in_blocks_and_are_equal_when_asked() -> None:
 
 
 def test_rounds_end_at_the_border_of_a_half() -> None:
-    rule = Until(0.01)
+    rule = Until(0.01, 1)
     for start in range(300):
         length = rule.to_border(start)
         assert length >= 1
@@ -106,7 +106,7 @@ def frozen(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def test_remarks() -> None:
-    rule = Until(0.01)
+    rule = Until(0.01, 1)
     assert rule.remark(EARLIEST - 1) == f" (wanted: 0.01, not asked for before {EARLIEST} passes)"
     assert rule.remark(EARLIEST) == " (wanted: 0.01)"
 
@@ -118,10 +118,10 @@ def test_parts() -> None:
     def run(
         first: np.ndarray, second: np.ndarray, passes: int, stops: bool = False
     ) -> tuple[Until, bool, list[tuple[np.ndarray, int]]]:
-        rule, over = Until(1e-4), False
-        for n in [n for n in range(1, passes + 1) if Until(1).asks(n)]:
+        rule, over = Until(1e-4, 1), False
+        for n in [n for n in range(1, passes + 1) if Until(1, 1).asks(n)]:
             if stops:
-                rule = Until(1e-4, frozen(rule.kept(sums_of(second))))
+                rule = Until(1e-4, 1, frozen(rule.kept(sums_of(second))))
             a, b = sums_of(first[: n // 2]), sums_of(second[: n // 2])
             over = rule.decide(a + b, b, n)
             if over:
@@ -129,11 +129,11 @@ def test_parts() -> None:
         a, b = sums_of(first[: passes // 2]), sums_of(second[: passes // 2])
         return rule, over, list(rule.parts(a + b, b, passes))
 
-    soon = [n for n in range(1, 100) if Until(1).asks(n)][FEWEST_GROUPS]  # the first question with an answer
+    soon = [n for n in range(1, 100) if Until(1, 1).asks(n)][FEWEST_GROUPS]  # the first question with an answer
     _, over, parts = run(quiet, quiet, 200)
     assert over and [n for _, n in parts] == [soon] and soon == EARLIEST
     # The first half is good at once and ends the second; the second never is, so the first goes on to the last pass.
-    asked = [n for n in range(1, 100) if Until(1).asks(n)][-1]
+    asked = [n for n in range(1, 100) if Until(1, 1).asks(n)][-1]
     _, over, parts = run(quiet, loud, asked)
     assert not over and [n for _, n in parts] == [asked // 2, soon // 2]
     assert mean_of(parts) == pytest.approx((quiet[: asked // 2].mean() + loud[: soon // 2].mean()) / 2)

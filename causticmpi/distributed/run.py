@@ -74,8 +74,9 @@ class Run:
         light = traces_light(config) and has_specular(scene.data)
         self.films = Films(world, config.film.pixels, quantum, light, halves=config.budget.until is not None)
         self.film, self.pending = self.films.merged, self.films.pending
-        self.precision = Precision()
-        self.until = None if config.budget.until is None else Until(float(config.budget.until), given.arrays)
+        width = config.film.window[2] - config.film.window[0]
+        self.precision = Precision(width)
+        self.until = None if config.budget.until is None else Until(float(config.budget.until), width, given.arrays)
         self.limit = float(config.budget.time) if config.budget.time is not None else None
         self.rounds = self.round_passes = 0
         self.stopped_by = 0

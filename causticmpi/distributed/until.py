@@ -31,14 +31,15 @@ Part = tuple[np.ndarray, int]
 class Until:
     """When to stop. Questions and halves depend on the number of passes alone: the same on every rank.
 
-    target: relMSE of the whole picture, as `Precision` has it; before: what a checkpoint `kept`, to go on from.
+    target: relMSE of the whole picture, as `Precision` has it; width: pixels of a row of the film; before: what a
+    checkpoint `kept`, to go on from.
     """
 
-    def __init__(self, target: float, before: Mapping[str, np.ndarray] | None = None) -> None:
+    def __init__(self, target: float, width: int, before: Mapping[str, np.ndarray] | None = None) -> None:
         self.target = target
         self._borders = [0, FIRST]  # passes of each half at the questions
         self._ended: list[Part | None] = [None, None]
-        self._precision = (Precision(), Precision())
+        self._precision = (Precision(width), Precision(width))
         if before is not None:
             self._go_on_from(before)
 

@@ -152,7 +152,7 @@ def warm_up(config: RenderConfig, root: bool, forecasting: bool) -> bool:
     sums = Film(16, 2.0**-40)
     sums.add_pass(pass_film)
     if root:
-        groups = precision.Precision()
+        groups = precision.Precision(4)
         groups.take(sums.sums, 2, 1.0)
         groups.take(sums.sums, 4, 1.0)
     if traces_light(config) and forecasting:

@@ -64,7 +64,7 @@ def coverage(page: Page, contender: Contender, file: Path, scale: float) -> Cove
     bench = set_up(file, config_for(page.side, 1, {**page.set, **contender.set}))
     pictures, own, estimated, factors = [], [], [], []
     for run in range(runs):
-        film, precision = Film(page.side**2, quantum_for(bench.scene.brightest)), Precision()
+        film, precision = Film(page.side**2, quantum_for(bench.scene.brightest)), Precision(page.side)
         for i in range(page.passes):
             _add(bench, film, run * page.passes + i)
             if precision.due(film.passes):
@@ -158,7 +158,7 @@ Stopped = tuple[np.ndarray, int]
 
 def _until(bench: Bench, whole: Film, target: float, passes: int, run: int) -> tuple[Stopped, Stopped]:
     """One run by the program's rule, and the same passes stopped by their own error."""
-    rule, second = Until(target), Film(whole.slots, whole.quantum)
+    rule, second = Until(target, bench.config.film.width), Film(whole.slots, whole.quantum)
     naive: Stopped | None = None
     first_index = run * LONGEST_STOP * passes
     over = False
