@@ -261,8 +261,8 @@ def verdict(results: Sequence[Result]) -> str:
     first = results[0]
     if isinstance(first, Coverage):
         lead = (
-            f"Of {len(first.estimated)} runs' estimates within a factor {TRUE_WITHIN} of the true error, and of 95 % "
-            "intervals that hold it: "
+            f"Of {len(first.estimated)} runs of {first.passes} passes, estimates within a factor {TRUE_WITHIN} of the "
+            "true error, and 95 % intervals that hold it: "
         )
     elif isinstance(first, Stops):
         lead = "Error where runs end over the wanted one, and their mean's offset (by halves; stopped by own error): "
@@ -274,8 +274,9 @@ def verdict(results: Sequence[Result]) -> str:
 def _said(found: Result) -> str:
     if isinstance(found, Coverage):
         return (
-            f"{found.label} {100 * found.within:.0f} % and {100 * found.covered:.0f} % (median factor "
-            f"{np.median(found.factor):.2f}; the true error is known to {100 * found.uncertainty:.1f} %)"
+            f"{found.label} {100 * found.within:.0f} % and {100 * found.covered:.0f} % (mean estimate x "
+            f"{found.estimated.mean() / found.expected:.2f} of it, median interval x and / "
+            f"{np.median(found.factor):.2f}; true error known to {100 * found.uncertainty:.1f} %)"
         )
     if isinstance(found, Stops):
         return (
