@@ -96,7 +96,8 @@ class Recorder:
                 source = numba.carray(_pointer(ray), (PACKET_WORDS,))
                 for i in range(PACKET_WORDS):
                     row[i] = source[i]
-                numba.carray(_pointer(kinds), (MOST_PACKETS // 4,)).view(np.int8)[count[0]] = COHERENT if arguments else kind
+                of_kind = numba.carray(_pointer(kinds), (MOST_PACKETS // 4,)).view(np.int8)
+                of_kind[count[0]] = COHERENT if arguments else kind
                 count[0] += 1
             real(valid, scene, ray, arguments)
 

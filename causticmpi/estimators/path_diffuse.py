@@ -4,16 +4,16 @@ import math
 
 import numpy as np
 
-from causticmpi.kernels import bsdf, rng, vec, warp
+from causticmpi.kernels import bsdf, lanes, rng, vec, warp
 from causticmpi.kernels import path_layout as at
 from causticmpi.kernels.embree import LANES, RAY16, TFAR, VALID, rtc_occluded16
 from causticmpi.kernels.eye_path import emitted, facing
 from causticmpi.kernels.jit import inline
 from causticmpi.kernels.material_kinds import PHONG
 from causticmpi.kernels.path_layout import get3, put3
-from causticmpi.kernels.path_stages import BRANCH, look_up, number_hits, trace_packet
-from causticmpi.kernels.traced_scene import OFFSET, is_specular, pick_light
-from causticmpi.kernels.vec import ALMOST_ONE, BLACK, INFINITY, INV_PI, ONE, ZERO
+from causticmpi.kernels.path_stages import BRANCH, choose_lights, queue_found, tell_kinds, trace_packet
+from causticmpi.kernels.traced_scene import OFFSET, is_specular
+from causticmpi.kernels.vec import ALMOST_ONE, BLACK, INFINITY, INV_PI, ONE, PI, ZERO
 
 WORTH = np.float32(0.25)
 """Roulette brings the throughput of a path that falls below this back to it."""
@@ -24,66 +24,58 @@ _LATTICE = (np.float32(0.8191725134), np.float32(0.6710436067), np.float32(0.549
 
 
 @inline
-def meet(scene, work, lanes, first_split, second_split):
+def meet(scene, work, used, first_split, second_split):
     """Emission, materials and roulette of non-specular vertices. Returns how many of them have gloss."""
     words = work.view(np.int32)
+    lights = 0
+    for i in range(LANES):
+        put3(work, at.RADIANCE, i, BLACK)
+        lights += words[at.LIGHT + i] >= 0
+    if lights > 0:
+        emit(scene, work, used)
     glossy = 0
     for i in range(LANES):
-        work[at.ALIVE + i] = ZERO
-        put3(work, at.RADIANCE, i, BLACK)
-        if i >= lanes:
-            continue
-        direction, n = get3(work, at.DIRECTION, i), get3(work, at.NORMAL, i)
-        throughput = get3(work, at.THROUGHPUT, i)
-        depth = words[at.DEPTH + i]
-        if words[at.LIGHT + i] >= 0:
-            light = vec.mul(throughput, emitted(scene, words[at.PRIMITIVE + i], n, direction))
-            if vec.max3(light) > ZERO and depth > 0 and words[at.CHAIN + i] == 0:
-                t = work[at.DISTANCE + i]
-                density = light_density(scene.light_pdf[words[at.LIGHT + i]], t * t, -vec.dot(n, direction))
-                light = vec.scale(light, work[at.DENSITY + i] / (work[at.DENSITY + i] + density))
-            put3(work, at.RADIANCE, i, light)
-        material = words[at.MATERIAL + i]
-        if vec.max3(bsdf.albedo(scene, material)) <= ZERO:
-            continue
-        if depth > 0:
-            survival = vec.max3(throughput) / WORTH
-            survival = min(survival, bsdf.SURVIVAL if depth >= SURE_DEPTH else ONE)
-            if work[at.SURVIVE + i] >= survival:
-                continue
-            throughput = vec.scale(throughput, ONE / survival)
-            put3(work, at.THROUGHPUT, i, throughput)
-        work[at.ALIVE + i] = ONE
-        glossy += scene.kind[material] == PHONG
-        put3(work, at.REFLECTANCE, i, vec.row(scene.reflectance, material))
-        put3(work, at.NORMAL, i, facing(n, direction))
+        throughput, depth = get3(work, at.THROUGHPUT, i), words[at.DEPTH + i]
+        shines = words[at.KIND + i] == PHONG
+        survival = min(vec.max3(throughput) / WORTH, bsdf.SURVIVAL if depth >= SURE_DEPTH else ONE)
+        survival = ONE if depth == 0 else survival
+        reflects = shines | (vec.max3(get3(work, at.REFLECTANCE, i)) > ZERO)
+        alive = (i < used) & reflects & (work[at.SURVIVE + i] < survival)
         split = first_split if depth == 0 else (second_split if depth == 1 else 1)
-        work[at.SPLITS + i] = np.float32(split)
+        put3(work, at.THROUGHPUT, i, vec.scale(throughput, ONE / survival))
+        put3(work, at.NORMAL, i, facing(get3(work, at.NORMAL, i), get3(work, at.DIRECTION, i)))
+        work[at.ALIVE + i] = ONE if alive else ZERO
+        words[at.SPLITS + i] = np.int32(split) if alive else np.int32(0)
+        glossy += alive & shines
     return glossy
 
 
 @inline
-def choose_lights(scene, work):
-    """A light for each lane, and where its points are: CORNER + a EDGE1 + b EDGE2."""
-    for i in range(LANES):
-        if work[at.ALIVE + i] <= ZERO:
+def emit(scene, work, used):
+    """RADIANCE of the lights that lanes see, by the balance heuristic where next-event estimation finds it too."""
+    words = work.view(np.int32)
+    for i in range(used):
+        light = words[at.LIGHT + i]
+        if light < 0:
             continue
-        light, u = pick_light(scene, work[at.LIGHT_U + i])
-        work[at.LIGHT_U + i] = u
-        corner, e1 = vec.row(scene.light_corner, light), vec.row(scene.light_edge1, light)
-        s = scene.light_surface[light]
-        n, reach = (s[0], s[1], s[2]), s[3]
-        if e1[0] == ZERO and e1[1] == ZERO and e1[2] == ZERO:  # a sphere: the point itself
-            reach = max(abs(s[0]), max(abs(s[1]), abs(s[2]))) + s[3]
-            n = warp.uniform_sphere(u, work[at.LIGHT_V + i])
-            corner = vec.along(corner, n, s[3])
-        put3(work, at.CORNER, i, corner)
-        put3(work, at.EDGE1, i, e1)
-        put3(work, at.EDGE2, i, vec.row(scene.light_edge2, light))
-        put3(work, at.LIGHT_NORMAL, i, n)
-        work[at.LIGHT_REACH + i] = reach
-        work[at.LIGHT_PDF + i] = scene.light_pdf[light]
-        put3(work, at.LIGHT_RADIANCE, i, vec.row(scene.light_radiance, light))
+        direction, n, t = get3(work, at.DIRECTION, i), get3(work, at.NORMAL, i), work[at.DISTANCE + i]
+        radiance = vec.mul(get3(work, at.THROUGHPUT, i), emitted(scene, words[at.PRIMITIVE + i], n, direction))
+        if vec.max3(radiance) > ZERO:
+            density = light_density(scene.light_pdf[light], t * t, -vec.dot(n, direction))
+            put3(work, at.RADIANCE, i, vec.scale(radiance, ONE / (ONE + density * work[at.DOUBT + i])))
+
+
+@inline
+def shine_from_spheres(work):
+    """Lights that are spheres: the point itself for CORNER."""
+    for i in range(LANES):
+        e1, s = get3(work, at.EDGE1, i), get3(work, at.CORNER, i)
+        if e1[0] == ZERO and e1[1] == ZERO and e1[2] == ZERO:
+            radius = work[at.LIGHT_REACH + i]
+            n = warp.uniform_sphere(work[at.LIGHT_U + i], work[at.LIGHT_V + i])
+            put3(work, at.CORNER, i, vec.along(s, n, radius))
+            put3(work, at.LIGHT_NORMAL, i, n)
+            work[at.LIGHT_REACH + i] = max(abs(s[0]), max(abs(s[1]), abs(s[2]))) + radius
 
 
 @inline
@@ -114,10 +106,7 @@ def direct_light(work):
         put3(work, RAY16 + 64, i, vec.sub(target, origin))
         seen = (work[at.ALIVE + i] > ZERO) & (distance2 > ZERO) & (cosine > ZERO) & (cosine_q > ZERO)
         work[RAY16 + 16 * TFAR + i] = ONE if seen else -ONE
-    used = 0
-    for i in range(LANES):
-        used += work[RAY16 + 16 * TFAR + i] > ZERO
-    return used
+    return lanes.count(lanes.marked(work, RAY16 + 16 * TFAR))
 
 
 @inline
@@ -126,7 +115,7 @@ def direct_light_on_gloss(scene, work):
     words = work.view(np.int32)
     for i in range(LANES):
         material = words[at.MATERIAL + i]
-        if work[RAY16 + 16 * TFAR + i] < ZERO or scene.kind[material] != PHONG:
+        if work[RAY16 + 16 * TFAR + i] < ZERO or words[at.KIND + i] != PHONG:
             continue
         n, wi, wo = get3(work, at.NORMAL, i), get3(work, at.TO_LIGHT, i), vec.neg(get3(work, at.DIRECTION, i))
         weight = vec.dot(n, wi) / (work[at.LIGHT_PDF + i] + bsdf.pdf(scene, material, n, wo, wi))
@@ -138,6 +127,12 @@ def direct_light_on_gloss(scene, work):
 def connect(scene, work, glossy):
     """Next-event estimation: adds what arrives to RADIANCE. Returns the rays traced."""
     choose_lights(scene, work)
+    spheres = 0
+    for i in range(LANES):
+        e1 = get3(work, at.EDGE1, i)
+        spheres += (e1[0] == ZERO) & (e1[1] == ZERO) & (e1[2] == ZERO)
+    if spheres > 0:
+        shine_from_spheres(work)
     used = direct_light(work)
     if used == 0:
         return 0
@@ -152,25 +147,24 @@ def connect(scene, work, glossy):
 
 
 @inline
-def deposit(work, film, pixels, lanes):
+def deposit(work, film, used):
     """Hand RADIANCE over to the film."""
     words = work.view(np.int32)
-    for i in range(lanes):
-        radiance = get3(work, at.RADIANCE, i)
-        if radiance[0] == ZERO and radiance[1] == ZERO and radiance[2] == ZERO:  # NaN is not: the film counts it
-            continue
-        slot, column = pixels[words[at.PIXEL + i], 3], 3 * words[at.CAUSTIC + i]
+    for i in range(used):
+        pixel = words[at.PIXEL + i]
+        slot, column = np.uint64(pixel >> 1), np.uint64(3 * (pixel & 1))
         for c in range(3):
-            film[slot, column + c] += radiance[c]
+            film[slot, column + np.uint64(c)] += work[at.RADIANCE + 16 * c + i]
 
 
 @inline
-def most_rays(work, lanes):
+def most_rays(work):
     """The most rays that a lane sends."""
-    most = ZERO
-    for i in range(lanes):
-        most = max(most, work[at.SPLITS + i] if work[at.ALIVE + i] > ZERO else ZERO)
-    return np.int64(most)
+    words = work.view(np.int32)
+    most = np.int32(0)
+    for i in range(LANES):
+        most = max(most, words[at.SPLITS + i])
+    return most
 
 
 @inline
@@ -185,11 +179,11 @@ def bounce(scene, work, j, glossy):
         u, v = fraction(work[at.U + i] + step * _LATTICE[0]), fraction(work[at.V + i] + step * _LATTICE[1])
         put3(packet, 0, i, vec.along(get3(work, at.POINT, i), n, work[at.OFFSET + i]))
         put3(packet, 64, i, vec.to_world(warp.cosine_hemisphere(u, v), n))
-        packet[16 * TFAR + i] = INFINITY if (work[at.ALIVE + i] > ZERO) & (step < work[at.SPLITS + i]) else -ONE
+        packet[16 * TFAR + i] = INFINITY if j < words[at.SPLITS + i] else -ONE
     if glossy > 0:
         for i in range(LANES):
             material = words[at.MATERIAL + i]
-            if packet[16 * TFAR + i] < ZERO or scene.kind[material] != PHONG:
+            if packet[16 * TFAR + i] < ZERO or words[at.KIND + i] != PHONG:
                 continue
             n, wo = get3(work, at.NORMAL, i), vec.neg(get3(work, at.DIRECTION, i))
             u, v = fraction(work[at.U + i] + step * _LATTICE[0]), fraction(work[at.V + i] + step * _LATTICE[1])
@@ -197,9 +191,7 @@ def bounce(scene, work, j, glossy):
             put3(packet, 64, i, direction)
             if vec.dot(direction, n) <= ZERO:
                 packet[16 * TFAR + i] = -ONE
-    used = trace_packet(scene, work, first)
-    number_hits(scene, work, first)
-    return used
+    return trace_packet(scene, work, first)
 
 
 @inline
@@ -208,43 +200,59 @@ def fraction(x):
 
 
 @inline
-def queue_bounces(scene, work, queues, lanes, diffuse, specular):
+def queue_bounces(scene, work, queues, most, glossy, diffuse, specular):
     """Let what the rays of a block have found wait. Returns how many vertices wait in either queue.
 
     All rays follow light to specular surfaces, at equal shares; other surfaces are for the first ray alone.
     """
-    words, keys = work.view(np.int32), work.view(np.uint64)
-    for j in range(most_rays(work, lanes)):
-        look_up(scene, work, at.PACKETS + j * at.PACKET_WORDS)
-    for i in range(lanes):
-        if work[at.ALIVE + i] <= ZERO:
-            continue
-        material = words[at.MATERIAL + i]
-        n, wo = get3(work, at.NORMAL, i), vec.neg(get3(work, at.DIRECTION, i))
-        depth = words[at.DEPTH + i] + 1
-        for j in range(np.int64(work[at.SPLITS + i])):
+    if most == 0:
+        return diffuse, specular
+    for j in range(most):
+        name_found(scene, work, j, glossy)
+    if most == 1:
+        return queue_found(work, at.PACKETS, queues, diffuse, specular)
+    diffuse, _ = queue_found(work, at.PACKETS, queues, diffuse, specular)
+    words = work.view(np.int32)
+    for i in range(LANES):  # ray by ray of a lane, so that their order does not depend on who else is in the block
+        for j in range(words[at.SPLITS + i]):
             packet = at.PACKETS + j * at.PACKET_WORDS
-            kind = words[packet + 16 * at.FOUND + i]
-            mirrors = is_specular(kind)
-            if kind < 0 or (j > 0 and not mirrors):
-                continue
-            direction = get3(work, packet + 64, i)
-            density = bsdf.pdf(scene, material, n, wo, direction)
-            throughput = vec.mul(get3(work, at.THROUGHPUT, i), get3(work, at.REFLECTANCE, i))
-            if scene.kind[material] == PHONG:
-                f = bsdf.evaluate(scene, material, n, wo, direction)
-                throughput = vec.scale(vec.mul(get3(work, at.THROUGHPUT, i), f), vec.dot(direction, n) / density)
-            key = rng.subkey(keys[at.KEY // 2 + i], BRANCH + j)
-            pixel, caustic = words[at.PIXEL + i], words[at.CAUSTIC + i]
-            if mirrors:
-                throughput = vec.scale(throughput, ONE / work[at.SPLITS + i])
-                caustic = np.int32(1) if depth == 1 else caustic
-                at.push(scene, work, queues[1], specular, packet, i, throughput, density, key, pixel, depth, 0, caustic)
-                specular += 1
-            else:
-                at.push(scene, work, queues[0], diffuse, packet, i, throughput, density, key, pixel, depth, 0, caustic)
-                diffuse += 1
+            if is_specular(words[packet + 16 * at.FOUND + i]):
+                specular = at.push(work, packet, 1 << i, queues[1], specular)
     return diffuse, specular
+
+
+@inline
+def name_found(scene, work, j, glossy):
+    """What the j-th rays of a block have found, as vertices."""
+    words, keys = work.view(np.int32), work.view(np.uint64)
+    first = at.PACKETS + j * at.PACKET_WORDS
+    tell_kinds(scene, work, first)
+    packet = work[first : first + at.PACKET_WORDS]
+    found, found_keys = packet.view(np.int32), packet.view(np.uint64)
+    for i in range(LANES):
+        kind, depth, pixel = found[16 * at.FOUND + i], words[at.DEPTH + i], words[at.PIXEL + i]
+        mirrors = is_specular(kind)
+        found[16 * at.FOUND + i] = kind if mirrors | (j == 0) else np.int32(-1)
+        share = ONE / np.float32(words[at.SPLITS + i]) if mirrors else ONE
+        throughput = vec.mul(get3(work, at.THROUGHPUT, i), get3(work, at.REFLECTANCE, i))
+        put3(packet, 16 * at.FOUND_THROUGHPUT, i, vec.scale(throughput, share))
+        cosine = vec.dot(get3(work, at.NORMAL, i), get3(packet, 64, i))
+        packet[16 * at.FOUND_DOUBT + i] = PI / cosine
+        found_keys[8 * at.FOUND_KEY + i] = rng.subkey(keys[at.KEY // 2 + i], BRANCH + j)
+        found[16 * at.FOUND_PIXEL + i] = pixel | np.int32(1) if mirrors & (depth == 0) else pixel
+        found[16 * at.FOUND_DEPTH + i] = depth + np.int32(1)
+        found[16 * at.FOUND_CHAIN + i] = 0
+    if glossy > 0:
+        for i in range(LANES):
+            if words[at.KIND + i] != PHONG or found[16 * at.FOUND + i] < 0:
+                continue
+            material = words[at.MATERIAL + i]
+            n, wo, wi = get3(work, at.NORMAL, i), vec.neg(get3(work, at.DIRECTION, i)), get3(packet, 64, i)
+            density = bsdf.pdf(scene, material, n, wo, wi)
+            f = vec.scale(bsdf.evaluate(scene, material, n, wo, wi), vec.dot(wi, n) / density)
+            share = ONE / np.float32(words[at.SPLITS + i]) if is_specular(found[16 * at.FOUND + i]) else ONE
+            put3(packet, 16 * at.FOUND_THROUGHPUT, i, vec.scale(vec.mul(get3(work, at.THROUGHPUT, i), f), share))
+            packet[16 * at.FOUND_DOUBT + i] = ONE / density
 
 
 @inline

@@ -19,8 +19,8 @@ from causticmpi.kernels import rng
 from causticmpi.kernels.camera import see_packet
 from causticmpi.kernels.embree import LANES, RAY16
 from causticmpi.kernels.jit import inline, kernel
-from causticmpi.kernels.traced_scene import is_specular
-from causticmpi.kernels.vec import ONE, WHITE
+from causticmpi.kernels.path_layout import put3
+from causticmpi.kernels.vec import WHITE, ZERO
 
 
 @kernel
@@ -40,18 +40,25 @@ def trace_paths(scene, camera, work, queues, splits, pixels, seed, pass_index, f
             now, then = queues[wave & 1], queues[(wave + 1) & 1]
             next_diffuse, next_specular = 0, 0
             for block in range((diffuse + LANES - 1) // LANES):
-                lanes = min(LANES, diffuse - block * LANES)
-                at.load_block(work, now[0], block)
-                traced += light_and_send(scene, work, group, film, lanes, splits)
+                used = min(LANES, diffuse - block * LANES)
+                begin_block(scene, work, now[0], block, used)
+                glossy = diffuse_stages.meet(scene, work, used, splits[0], splits[1])
+                traced += diffuse_stages.connect(scene, work, glossy)
+                diffuse_stages.deposit(work, film, used)
+                most = diffuse_stages.most_rays(work)
+                for j in range(most):
+                    traced += diffuse_stages.bounce(scene, work, j, glossy)
                 next_diffuse, next_specular = diffuse_stages.queue_bounces(
-                    scene, work, then, lanes, next_diffuse, next_specular
+                    scene, work, then, most, glossy, next_diffuse, next_specular
                 )
             for block in range((specular + LANES - 1) // LANES):
-                lanes = min(LANES, specular - block * LANES)
-                at.load_block(work, now[1], block)
-                traced += follow_specular(scene, work, lanes)
+                used = min(LANES, specular - block * LANES)
+                begin_block(scene, work, now[1], block, used)
+                specular_stages.meet_specular(scene, work, used)
+                stages.scatter(work)
+                traced += stages.trace_packet(scene, work, RAY16)
                 next_diffuse, next_specular = specular_stages.queue_packet(
-                    scene, work, then, lanes, next_diffuse, next_specular
+                    scene, work, then, next_diffuse, next_specular
                 )
             diffuse, specular = next_diffuse, next_specular
             wave += 1
@@ -62,44 +69,26 @@ def trace_paths(scene, camera, work, queues, splits, pixels, seed, pass_index, f
 def see_group(scene, camera, work, queues, pixels, seed, pass_index):
     """Let what the eye rays of all pixels meet wait. Returns (rays traced, vertices in either queue)."""
     traced, diffuse, specular = 0, 0, 0
+    words, keys = work.view(np.int32), work.view(np.uint64)
     for first in range(0, pixels.shape[0], LANES):
         traced += see_packet(scene, camera, work, pixels, first, seed, pass_index)
-        stages.number_hits(scene, work, RAY16)
-        stages.look_up(scene, work, RAY16)
+        stages.tell_kinds(scene, work, RAY16)
         for i in range(LANES):
-            kind = work.view(np.int32)[RAY16 + 16 * at.FOUND + i]
-            if kind < 0:
-                continue
-            row = first + i
-            key = rng.subkey(rng.make_key(seed, rng.CAMERA, pass_index, pixels[row, 2]), 0)
-            if is_specular(kind):
-                at.push(scene, work, queues[1], specular, RAY16, i, WHITE, ONE, key, row, 0, 0, 0)
-                specular += 1
-            else:
-                at.push(scene, work, queues[0], diffuse, RAY16, i, WHITE, ONE, key, row, 0, 0, 0)
-                diffuse += 1
+            key = rng.make_key(seed, rng.CAMERA, pass_index, pixels[first + i, 2])
+            put3(work, RAY16 + 16 * at.FOUND_THROUGHPUT, i, WHITE)
+            work[RAY16 + 16 * at.FOUND_DOUBT + i] = ZERO
+            keys[(RAY16 + 16 * at.FOUND_KEY) // 2 + i] = rng.subkey(key, 0)
+            words[RAY16 + 16 * at.FOUND_PIXEL + i] = pixels[first + i, 3] << 1
+            words[RAY16 + 16 * at.FOUND_DEPTH + i] = 0
+            words[RAY16 + 16 * at.FOUND_CHAIN + i] = 0
+        diffuse, specular = stages.queue_found(work, RAY16, queues, diffuse, specular)
     return traced, diffuse, specular
 
 
 @inline
-def light_and_send(scene, work, pixels, film, lanes, splits):
-    """Emission and next-event estimation of a block of non-specular vertices, and their rays. Returns rays traced."""
+def begin_block(scene, work, queue, block, used):
+    """Take a block of vertices up: what and where they are, and their random numbers."""
+    at.load_block(work, queue, block, used)
+    stages.look_up(scene, work)
     stages.locate(work, scene.triangle_count)
     stages.draw(work)
-    glossy = diffuse_stages.meet(scene, work, lanes, splits[0], splits[1])
-    traced = diffuse_stages.connect(scene, work, glossy)
-    diffuse_stages.deposit(work, film, pixels, lanes)
-    for j in range(diffuse_stages.most_rays(work, lanes)):
-        traced += diffuse_stages.bounce(scene, work, j, glossy)
-    return traced
-
-
-@inline
-def follow_specular(scene, work, lanes):
-    """One specular event of a block. Returns rays traced."""
-    stages.locate(work, scene.triangle_count)
-    stages.draw(work)
-    specular_stages.look_up_specular(scene, work, lanes)
-    stages.scatter(work)
-    specular_stages.scale_radiance(work)
-    return stages.trace_packet(scene, work, RAY16)

@@ -9,6 +9,7 @@ import numpy as np
 from causticmpi.kernels import aim as aim_room
 from causticmpi.kernels import emission, particles, rng, vec, warp
 from causticmpi.kernels import path_layout as at
+from causticmpi.kernels import path_stages as stages
 from causticmpi.kernels.embree import LANES, RAY16
 from causticmpi.kernels.jit import inline
 from causticmpi.kernels.path_layout import get3, put3
@@ -22,7 +23,7 @@ def emit_aimed(scene, work, aim, seed, purpose, pass_index, first, last, number)
     _begin(scene, work, seed, purpose, pass_index, first, last, number)
     _emit_from_triangles(work)
     for i in range(LANES):
-        light = work.view(np.int32)[at.LIGHT + i]
+        light = work.view(np.int32)[at.CHOSEN + i]
         if is_sphere(scene, light):
             p, n, offset = light_point(scene, light, work[at.SURVIVE + i], work[at.LIGHT_V + i])
             direction = vec.to_world(warp.cosine_hemisphere(work[at.U + i], work[at.V + i]), n)
@@ -42,13 +43,13 @@ def emit_guided(scene, work, guide, seed, purpose, pass_index, first, last, numb
     """Particles first, first + 1, … before `last` by a guide; `number`: that of the first in its group."""
     _begin(scene, work, seed, purpose, pass_index, first, last, number)
     for i in range(LANES):
-        group = emission.group_of(np.int64(work.view(np.int32)[at.LIGHT + i]), scene, guide.rows.shape[0])
+        group = emission.group_of(np.int64(work.view(np.int32)[at.CHOSEN + i]), scene, guide.rows.shape[0])
         s, t, share = emission.reshape(guide, group, work[at.U + i], work[at.V + i])
         work[at.U + i], work[at.V + i] = s, t
         put3(work, at.THROUGHPUT, i, vec.scale(get3(work, at.THROUGHPUT, i), share))
     _emit_from_triangles(work)
     for i in range(LANES):
-        light = work.view(np.int32)[at.LIGHT + i]
+        light = work.view(np.int32)[at.CHOSEN + i]
         if is_sphere(scene, light):
             p, n, offset, direction = emission.emit_from_sphere(
                 scene, light, work[at.LIGHT_V + i], work[at.SURVIVE + i], work[at.U + i], work[at.V + i]
@@ -71,19 +72,11 @@ def _begin(scene, work, seed, purpose, pass_index, first, last, number):
         words[at.PIXEL + i] = number + i
         words[at.DEPTH + i] = 0
         words[at.CHAIN + i] = 0
-    for i in range(LANES):
-        light = warp.pick(scene.light_cdf, work[at.LIGHT_U + i])
-        words[at.LIGHT + i] = light
-        put3(work, at.CORNER, i, vec.row(scene.light_corner, light))
-        put3(work, at.EDGE1, i, vec.row(scene.light_edge1, light))
-        put3(work, at.EDGE2, i, vec.row(scene.light_edge2, light))
-        put3(work, at.NORMAL, i, vec.row(scene.light_surface, light))
-        work[at.LIGHT_REACH + i] = scene.light_surface[light, 3]
-        work[at.LIGHT_PDF + i] = scene.light_pdf[light]
-        put3(work, at.LIGHT_RADIANCE, i, vec.row(scene.light_radiance, light))
+    stages.choose_lights(scene, work)
     for i in range(LANES):
         flux = particles.PARTICLE_FLUX / work[at.LIGHT_PDF + i]
         put3(work, at.THROUGHPUT, i, vec.scale(get3(work, at.LIGHT_RADIANCE, i), flux))
+        put3(work, at.NORMAL, i, get3(work, at.LIGHT_NORMAL, i))
 
 
 @inline

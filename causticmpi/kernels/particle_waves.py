@@ -1,8 +1,8 @@
 """Particles in waves: the walk of `particles` for many of them at a time, 16 lanes wide.
 
 Particles go on in groups of GROUP. All rays of a group that wait are flown, in packets, then scattered block by block,
-specular and other surfaces alike; what survives moves up to fill the next wave's packets. The rows of a waiting ray are
-those of a vertex in `path_layout`: ORIGIN, DIRECTION, THROUGHPUT (the flux), KEY of the particle, PIXEL (its number in
+specular and other surfaces alike; what survives moves up to fill the next wave's packets. A queue of rays has the rows
+of one of vertices in `path_layout`: ORIGIN, DIRECTION, THROUGHPUT (the flux), KEY of the particle, PIXEL (its number in
 the group), DEPTH (non-specular vertices before) and CHAIN (specular events since the last).
 
 A group that begins at a multiple of GROUP does the same, bit for bit, however particles are divided among calls.
@@ -10,7 +10,7 @@ A group that begins at a multiple of GROUP does the same, bit for bit, however p
 
 import numpy as np
 
-from causticmpi.kernels import bsdf, particles, rng, vec, warp
+from causticmpi.kernels import bsdf, lanes, particles, rng, vec, warp
 from causticmpi.kernels import path_layout as at
 from causticmpi.kernels import path_stages as stages
 from causticmpi.kernels.embree import LANES, PRIM, RAY16, TFAR
@@ -27,7 +27,7 @@ GROUP = 1024
 
 def particle_work() -> tuple[np.ndarray, np.ndarray]:
     """Workspace: `work`, the lanes, and the queues of two waves (2, words) float32."""
-    return at.lanes_and_packets(2), np.zeros((2, GROUP // LANES * at.BLOCK_WORDS), np.float32)
+    return at.lanes_and_packets(2), np.zeros((2, at.ROWS * at.ROOM), np.float32)
 
 
 @inline
@@ -44,8 +44,9 @@ def walk(scene, work, queues, waiting, note, notebook, noted):
         traced += waiting
         going_on = 0
         for block in range((waiting + LANES - 1) // LANES):
-            at.load_block(work, now, block)
-            specular, other, glossy = _meet(scene, work)
+            used = min(LANES, waiting - block * LANES)
+            at.load_block(work, now, block, used)
+            specular, other, glossy = _meet(scene, work, used)
             if wave > 0 and other > 0:
                 noted = note(scene, work, notebook, noted)
             _scatter(scene, work, specular, other, glossy)
@@ -58,47 +59,37 @@ def walk(scene, work, queues, waiting, note, notebook, noted):
 @inline
 def _fly(scene, work, queue, count):
     """Trace the first `count` rays of a queue: DISTANCE and PRIMITIVE (-1: nothing) of what they hit."""
-    words, waiting = work.view(np.int32), queue.view(np.int32)
     for block in range((count + LANES - 1) // LANES):
-        first = block * at.BLOCK_WORDS
-        rays, hits = queue[first : first + at.BLOCK_WORDS], waiting[first : first + at.BLOCK_WORDS]
-        left = count - block * LANES
+        first, left = block * LANES, count - block * LANES
+        for c in range(3):
+            lanes.copy(queue, at.place(at.ORIGIN + 16 * c, first), work, RAY16 + 16 * c)
+            lanes.copy(queue, at.place(at.DIRECTION + 16 * c, first), work, RAY16 + 64 + 16 * c)
         for i in range(LANES):
-            put3(work, RAY16, i, get3(rays, _ORIGIN, i))
-            put3(work, RAY16 + 64, i, get3(rays, _DIRECTION, i))
             work[RAY16 + 16 * TFAR + i] = INFINITY if i < left else -ONE
         stages.trace_packet(scene, work, RAY16)
         stages.number_hits(scene, work, RAY16)
-        for i in range(LANES):
-            rays[_DISTANCE + i] = work[RAY16 + 16 * TFAR + i]
-            hits[_PRIMITIVE + i] = words[RAY16 + 16 * PRIM + i]
-
-
-_ORIGIN, _DIRECTION, _DISTANCE, _PRIMITIVE, _FLUX, _KEY, _COUNTS = (
-    row - at.ORIGIN for row in (at.ORIGIN, at.DIRECTION, at.DISTANCE, at.PRIMITIVE, at.THROUGHPUT, at.KEY, at.PIXEL)
-)
-"""Rows of a block in a queue; the last is the first of PIXEL, DEPTH, CHAIN."""
+        stages.ask_for_hits(scene, work, RAY16)
+        lanes.copy(work, RAY16 + 16 * TFAR, queue, at.place(at.DISTANCE, first))
+        lanes.copy(work, RAY16 + 16 * PRIM, queue, at.place(at.PRIMITIVE, first))
 
 
 @inline
-def _meet(scene, work):
+def _meet(scene, work, used):
     """What the rays of a block have hit. Returns how many met a specular, a non-specular and a glossy surface.
 
     KIND is -1 where there is nothing; NORMAL of non-specular surfaces is on the side of arrival.
     """
     words = work.view(np.int32)
     for i in range(LANES):
-        known = np.uint64(max(words[at.PRIMITIVE + i], np.int32(0)))
-        material = np.uint64(scene.material[known])
-        words[at.MATERIAL + i] = np.int32(material)
-        words[at.KIND + i] = scene.kind[material]
-        put3(work, at.SURFACE, i, vec.row(scene.surface, known))
-        work[at.SURFACE + 48 + i] = scene.surface[known, 3]
-        put3(work, at.REFLECTANCE, i, vec.row(scene.reflectance, material))
-        work[at.IOR + i] = scene.ior[material]
+        hit = words[at.PRIMITIVE + i]
+        words[at.CHOSEN + i] = hit
+        words[at.PRIMITIVE + i] = max(hit, np.int32(0))
+    stages.look_up(scene, work)
+    for i in range(LANES):
+        work[at.IOR + i] = scene.ior[np.uint64(words[at.MATERIAL + i])]
     specular, other, glossy = 0, 0, 0
     for i in range(LANES):
-        kind = words[at.KIND + i] if words[at.PRIMITIVE + i] >= 0 else np.int32(-1)
+        kind = words[at.KIND + i] if (words[at.CHOSEN + i] >= 0) & (i < used) else np.int32(-1)
         words[at.KIND + i] = kind
         work[at.IS_MIRROR + i] = ONE if kind == MIRROR else ZERO
         specular += is_specular(kind)
@@ -192,35 +183,12 @@ def _settle(work):
 @inline
 def wait(work, queue, count):
     """Let the rays of the lanes that are alive wait behind `count` others. Returns how many wait."""
-    words, waiting = work.view(np.int32), queue.view(np.int32)
-    alive = 0
-    for i in range(LANES):
-        words[at.SPLITS + np.uint64(alive)] = i
-        alive += work[at.ALIVE + i] > ZERO
-    if alive == LANES and count & 15 == 0:
-        _wait_in_a_block(work, queue[(count >> 4) * at.BLOCK_WORDS : (count // LANES + 1) * at.BLOCK_WORDS])
-        return count + LANES
-    for j in range(alive):
-        i = np.uint64(words[at.SPLITS + j])
-        to = np.uint64(((count + j) >> 4) * at.BLOCK_WORDS + ((count + j) & 15))
-        for row in range(3):
-            queue[to + np.uint64(_ORIGIN + 16 * row)] = work[i + np.uint64(RAY16 + 16 * row)]
-            queue[to + np.uint64(_DIRECTION + 16 * row)] = work[i + np.uint64(RAY16 + 64 + 16 * row)]
-            queue[to + np.uint64(_FLUX + 16 * row)] = work[i + np.uint64(at.THROUGHPUT + 16 * row)]
-            waiting[to + np.uint64(_COUNTS + 16 * row)] = words[i + np.uint64(at.PIXEL + 16 * row)]
-        key = work.view(np.uint64)[i + np.uint64(at.KEY // 2)]
-        block = np.uint64(((count + j) >> 4) * (at.BLOCK_WORDS // 2) + ((count + j) & 15))
-        queue.view(np.uint64)[block + np.uint64(_KEY // 2)] = key
-    return count + alive
-
-
-@inline
-def _wait_in_a_block(work, block):
-    """So do all 16 in a block of their own, as emission leaves them."""
-    words, waiting = work.view(np.int32), block.view(np.int32)
-    for i in range(LANES):
-        put3(block, _ORIGIN, i, get3(work, RAY16, i))
-        put3(block, _DIRECTION, i, get3(work, RAY16 + 64, i))
-        put3(block, _FLUX, i, get3(work, at.THROUGHPUT, i))
-        put3(waiting, _COUNTS, i, get3(words, at.PIXEL, i))
-        block.view(np.uint64)[_KEY // 2 + i] = work.view(np.uint64)[at.KEY // 2 + i]
+    alive = lanes.marked(work, at.ALIVE)
+    for c in range(3):
+        lanes.pack(work, RAY16 + 16 * c, alive, queue, at.place(at.ORIGIN + 16 * c, count))
+        lanes.pack(work, RAY16 + 64 + 16 * c, alive, queue, at.place(at.DIRECTION + 16 * c, count))
+        lanes.pack(work, at.THROUGHPUT + 16 * c, alive, queue, at.place(at.THROUGHPUT + 16 * c, count))
+    lanes.pack_long(work, at.KEY, alive, queue, at.place(at.KEY, 2 * count))
+    for row in (at.PIXEL, at.DEPTH, at.CHAIN):
+        lanes.pack(work, row, alive, queue, at.place(row, count))
+    return count + lanes.count(alive)

@@ -2,10 +2,11 @@
 
 Paths go on in waves, those of path tracing as told here, particles much alike (`particle_waves`). A vertex that a ray
 has found waits in one of two queues, of specular and of other surfaces, so that the 16 lanes of a packet do the same
-work and hold hardly a dead path. A queue is a run of blocks; a block holds the rows below of 16 vertices. A stage
-copies a block to the front of `work`, which is `embree.ray_buffer`, and works on it in loops over the lanes that the
-compiler turns into vector instructions: no branches, no calls, and nothing read but `work` at offsets known when
-compiling.
+work and hold hardly a dead path. A queue holds the rows below one after the other, each as long as there is room for
+vertices. A stage copies 16 vertices to `work`, which begins with an `embree.ray_buffer`, and works on them in loops
+over the lanes that the compiler turns into vector instructions: no branches, no calls, and nothing read but `work` at
+offsets known when compiling. What tables say of a lane lies in one line of the cache (`lanes.take8`, `lanes.take16`),
+and the lanes that go on are packed behind those that wait already (`lanes.pack`).
 
 Vertices of one pixel keep their order in every queue whoever else is there, and Embree's answer to a ray does not
 depend on the other lanes (tests/test_embree.py): so a pixel's sums are the same bits in any picture.
@@ -13,6 +14,7 @@ depend on the other lanes (tests/test_embree.py): so a pixel's sums are the same
 
 import numpy as np
 
+from causticmpi.kernels import lanes
 from causticmpi.kernels.embree import LANES, PRIM, RAY16, TFAR, ray_buffer
 from causticmpi.kernels.jit import inline
 
@@ -29,27 +31,30 @@ _FIRST = RAY16 + 24 * LANES
     DIRECTION,
     DISTANCE,
     PRIMITIVE,
-    SURFACE,
-    MATERIAL,
-    LIGHT,
     THROUGHPUT,
-    DENSITY,
+    DOUBT,
     KEY,
     PIXEL,
     DEPTH,
     CHAIN,
-    CAUSTIC,
     _VERTEX_END,
-) = (_FIRST + LANES * row for row in (0, 3, 6, 7, 8, 12, 13, 14, 17, 18, 20, 21, 22, 23, 24))
-"""Rows of a vertex, as word offsets of the block in `work`.
+) = (_FIRST + LANES * row for row in (0, 3, 6, 7, 8, 11, 12, 14, 15, 16, 17))
+"""Rows of a vertex, as word offsets of the lanes in `work`.
 
-ORIGIN, DIRECTION, DISTANCE: the ray that found it and how far away; PRIMITIVE, MATERIAL, LIGHT int32 and SURFACE: rows
-of the scene; THROUGHPUT to the pixel; DENSITY [1/sr] of the sample that found it, of use if CHAIN = 0; KEY uint64: its
-random numbers; PIXEL int32: row of `pixels`; DEPTH, CHAIN int32: non-specular vertices before it, specular ones since;
-CAUSTIC int32: 1 if the path belongs to L_c."""
-BLOCK_WORDS = _VERTEX_END - _FIRST
+ORIGIN, DIRECTION, DISTANCE: the ray that found it and how far away; PRIMITIVE int32; THROUGHPUT to the pixel; DOUBT
+[sr]: 1 / density of the sample that found it if next-event estimation might have done so as well, else 0; KEY uint64:
+its random numbers; PIXEL int32: twice the row of the film, and 1 more if the path belongs to L_c; DEPTH, CHAIN int32:
+non-specular vertices before it, specular ones since."""
+ROWS, _KEY_ROW = (_VERTEX_END - _FIRST) // LANES, (KEY - _FIRST) // LANES
+ROOM = MOST_WAITING + LANES
+"""Words of a row in a queue: packing writes 16 at a time."""
 
 (
+    SURFACE,
+    SIZE,
+    MATERIAL,
+    LIGHT,
+    KIND,
     POINT,
     NORMAL,
     OFFSET,
@@ -63,27 +68,32 @@ BLOCK_WORDS = _VERTEX_END - _FIRST
     LIGHT_U,
     LIGHT_V,
     SURVIVE,
+    CHOSEN,
     CORNER,
     EDGE1,
     EDGE2,
     LIGHT_NORMAL,
-    LIGHT_REACH,
     LIGHT_PDF,
     LIGHT_RADIANCE,
+    LIGHT_REACH,
     TO_LIGHT,
     CONTRIBUTION,
     IOR,
     IS_MIRROR,
-    KIND,
     ETA2,
     _SCRATCH_END,
 ) = (
     _VERTEX_END + LANES * row
-    for row in (0, 3, 6, 7, 10, 11, 12, 15, 16, 17, 18, 19, 20, 21, 24, 27, 30, 33, 34, 35, 38, 41, 44, 45, 46, 47, 48)
-)
-"""Rows of what a stage finds out about its lanes."""
-FOUND, REACH = 12, 13
-"""Words of a traced packet that replace Embree's normal (see `path_stages.look_up`)."""
+    for row in (
+        0, 3, 4, 5, 6, 8, 11, 14, 15, 18, 19, 20, 23, 24, 25, 26, 27, 28,
+        29, 30, 33, 36, 39, 42, 43, 46, 47, 50, 53, 54, 55, 56,
+    )
+)  # fmt: skip
+"""Rows of what a stage finds out about its lanes: SURFACE, SIZE, MATERIAL, LIGHT and KIND are a row of `scene.surface`,
+CORNER to LIGHT_RADIANCE one of `scene.light_row`."""
+FOUND, FOUND_THROUGHPUT, FOUND_DOUBT, FOUND_PIXEL, FOUND_CHAIN, FOUND_KEY, FOUND_DEPTH = 12, 13, 16, 18, 19, 20, 22
+"""Rows of a traced packet, in which Embree's normal and the like are replaced by what a vertex is made of: the kind of
+material it is on, -1 for none, and the rows above."""
 PACKET_WORDS = 24 * LANES
 PACKETS = _SCRATCH_END
 """The packets of the rays of a block, FIRST_SPLIT of them."""
@@ -100,7 +110,7 @@ def lanes_and_packets(packets: int) -> np.ndarray:
 
 def path_work() -> tuple[np.ndarray, np.ndarray]:
     """Workspace: `work`, and the queues (2 waves, 2 kinds, words) float32."""
-    return lanes_and_packets(FIRST_SPLIT), np.zeros((2, 2, MOST_WAITING // LANES * BLOCK_WORDS), np.float32)
+    return lanes_and_packets(FIRST_SPLIT), np.zeros((2, 2, ROWS * ROOM), np.float32)
 
 
 @inline
@@ -117,33 +127,36 @@ def put3(work, row, lane, value):
 
 
 @inline
-def load_block(work, queue, block):
-    """Copy a block of a queue to the lanes."""
-    source = queue[block * BLOCK_WORDS : (block + 1) * BLOCK_WORDS]
-    for i in range(BLOCK_WORDS):
-        work[ORIGIN + i] = source[i]
+def place(row, position):
+    """Where in a queue a row of `work` has what belongs to the vertex number `position`."""
+    return (row - _FIRST) // LANES * ROOM + position
 
 
 @inline
-def push(scene, work, queue, position, packet, lane, throughput, density, key, pixel, depth, chain, caustic):
-    """Let the vertex that lane `lane` of the packet at word `packet` has hit wait as number `position` of the queue."""
-    b = (position >> 4) * BLOCK_WORDS + (position & 15) - ORIGIN
-    words = queue.view(np.int32)
-    primitive = work.view(np.int32)[packet + 16 * PRIM + lane]
+def load_block(work, queue, block, used):
+    """Copy 16 vertices of a queue to the lanes; of those beyond `used`, PRIMITIVE is 0 and the rest without meaning."""
+    words = work.view(np.int32)
+    for row in range(ROWS):
+        if row != _KEY_ROW and row != _KEY_ROW + 1:
+            lanes.copy(queue, row * ROOM + LANES * block, work, _FIRST + LANES * row)
+    for half in range(2):
+        lanes.copy(queue, _KEY_ROW * ROOM + LANES * (2 * block + half), work, KEY + LANES * half)
+    for i in range(LANES):
+        words[PRIMITIVE + i] = words[PRIMITIVE + i] if i < used else np.int32(0)
+
+
+@inline
+def push(work, packet, mask, queue, count):
+    """Let the vertices that the marked lanes of a packet have found wait behind `count` others. Returns how many do."""
     for c in range(3):
-        queue[b + ORIGIN + 16 * c] = work[packet + 16 * c + lane]
-        queue[b + DIRECTION + 16 * c] = work[packet + 16 * (4 + c) + lane]
-        queue[b + THROUGHPUT + 16 * c] = throughput[c]
-        queue[b + SURFACE + 16 * c] = scene.surface[primitive, c]
-    queue[b + DISTANCE] = work[packet + 16 * TFAR + lane]
-    queue[b + SURFACE + 48] = work[packet + 16 * REACH + lane]
-    words[b + PRIMITIVE] = primitive
-    words[b + MATERIAL] = scene.material[primitive]
-    words[b + LIGHT] = scene.light[primitive]
-    queue[b + DENSITY] = density
-    low = (position >> 4) * (BLOCK_WORDS // 2) + (position & 15) + (KEY - ORIGIN) // 2
-    queue.view(np.uint64)[low] = key
-    words[b + PIXEL] = pixel
-    words[b + DEPTH] = depth
-    words[b + CHAIN] = chain
-    words[b + CAUSTIC] = caustic
+        lanes.pack(work, packet + 16 * c, mask, queue, place(ORIGIN + 16 * c, count))
+        lanes.pack(work, packet + 16 * (4 + c), mask, queue, place(DIRECTION + 16 * c, count))
+        lanes.pack(work, packet + 16 * (FOUND_THROUGHPUT + c), mask, queue, place(THROUGHPUT + 16 * c, count))
+    lanes.pack(work, packet + 16 * TFAR, mask, queue, place(DISTANCE, count))
+    lanes.pack(work, packet + 16 * PRIM, mask, queue, place(PRIMITIVE, count))
+    lanes.pack(work, packet + 16 * FOUND_DOUBT, mask, queue, place(DOUBT, count))
+    lanes.pack_long(work, packet + 16 * FOUND_KEY, mask, queue, place(KEY, 2 * count))
+    lanes.pack(work, packet + 16 * FOUND_PIXEL, mask, queue, place(PIXEL, count))
+    lanes.pack(work, packet + 16 * FOUND_DEPTH, mask, queue, place(DEPTH, count))
+    lanes.pack(work, packet + 16 * FOUND_CHAIN, mask, queue, place(CHAIN, count))
+    return count + lanes.count(mask)

@@ -5,16 +5,26 @@ import math
 
 import numpy as np
 
+from causticmpi.kernels import lanes, rng, vec
 from causticmpi.kernels import path_layout as at
-from causticmpi.kernels import rng, vec
 from causticmpi.kernels.embree import GEOM, LANES, MISS, PRIM, RAY16, TFAR, VALID, rtc_intersect16
 from causticmpi.kernels.jit import inline, prefetch
+from causticmpi.kernels.material_kinds import MIRROR
 from causticmpi.kernels.path_layout import get3, put3
-from causticmpi.kernels.traced_scene import OFFSET
-from causticmpi.kernels.vec import HALF, INFINITY, ONE, TWO, ZERO
+from causticmpi.kernels.traced_scene import OFFSET, is_specular
+from causticmpi.kernels.vec import ALMOST_ONE, HALF, INFINITY, ONE, TWO, ZERO
 
 CHOICE, DIRECTION, LIGHT, BRANCH = 0, 1, 2, 3
 """Dimensions of a vertex key; BRANCH + j names the vertex that its j-th ray finds."""
+
+
+@inline
+def look_up(scene, work):
+    """Rows of the scene that tell what the lanes have hit: SURFACE, SIZE, MATERIAL, LIGHT, KIND, REFLECTANCE."""
+    words = work.view(np.int32)
+    lanes.take8(scene.surface, work, at.PRIMITIVE, at.SURFACE)
+    for i in range(LANES):
+        put3(work, at.REFLECTANCE, i, vec.row(scene.reflectance, np.uint64(words[at.MATERIAL + i])))
 
 
 @inline
@@ -25,7 +35,7 @@ def locate(work, triangle_count):
         origin = get3(work, at.ORIGIN, i)
         p = vec.along(origin, get3(work, at.DIRECTION, i), work[at.DISTANCE + i])
         s = get3(work, at.SURFACE, i)
-        size = work[at.SURFACE + 48 + i]
+        size = work[at.SIZE + i]
         round_ = words[at.PRIMITIVE + i] >= triangle_count
         out = vec.normalize(vec.sub(p, s))
         back = vec.along(s, out, size)
@@ -54,10 +64,9 @@ def draw(work):
 def trace_packet(scene, work, packet):
     """Nearest hits of the packet at word `packet` of `work`. Returns the rays in use."""
     words = work.view(np.uint32)
-    used = 0
     for i in range(LANES):
-        used += work[packet + 16 * TFAR + i] > ZERO
         words[packet + 16 * GEOM + i] = MISS
+    used = lanes.count(lanes.marked(work, packet + 16 * TFAR))
     if used > 0:
         rtc_intersect16(work.ctypes.data + 4 * VALID, scene.handle, work.ctypes.data + 4 * packet, 0)
     return used
@@ -65,26 +74,73 @@ def trace_packet(scene, work, packet):
 
 @inline
 def number_hits(scene, work, packet):
-    """Turn Embree's word on what a packet has hit into the number of the primitive, -1 for none, and ask for its row of
-    `surface` to be brought near: it is far away in a large mesh, and wanted only after the next packet."""
+    """Turn Embree's word on what a packet has hit into the number of the primitive, -1 for none."""
     words = work.view(np.int32)
     for i in range(LANES):
         missed = words[packet + 16 * GEOM + i] == -1
         primitive = words[packet + 16 * PRIM + i] + words[packet + 16 * GEOM + i] * np.int32(scene.triangle_count)
         words[packet + 16 * PRIM + i] = np.int32(-1) if missed else primitive
+
+
+@inline
+def ask_for_hits(scene, work, packet):
+    """Have the rows of `surface` that a packet has hit brought near: they are far away in a large mesh."""
+    words = work.view(np.int32)
     for i in range(LANES):
         prefetch(scene.surface.ctypes.data + 32 * max(np.int64(0), np.int64(words[packet + 16 * PRIM + i])))
 
 
 @inline
-def look_up(scene, work, packet):
-    """Kinds of material and sizes of what a packet has hit, into rows of it that Embree has filled and nobody reads."""
+def tell_kinds(scene, work, packet):
+    """FOUND: kinds of material that a packet has hit, -1 for none."""
+    words = work.view(np.int32)
+    number_hits(scene, work, packet)
+    for i in range(LANES):
+        known = np.uint64(max(words[packet + 16 * PRIM + i], np.int32(0)))
+        words[packet + 16 * at.FOUND + i] = scene.primitive_kind[known]
+    for i in range(LANES):
+        kind = words[packet + 16 * at.FOUND + i]
+        words[packet + 16 * at.FOUND + i] = np.int32(-1) if words[packet + 16 * PRIM + i] < 0 else kind
+
+
+@inline
+def queue_found(work, packet, queues, diffuse, specular):
+    """Let what a packet has found wait, by FOUND. Returns how many vertices wait in either queue."""
     words = work.view(np.int32)
     for i in range(LANES):
-        primitive = words[packet + 16 * PRIM + i]
-        known = max(primitive, np.int32(0))
-        words[packet + 16 * at.FOUND + i] = np.int32(-1) if primitive < 0 else scene.kind[scene.material[known]]
-        work[packet + 16 * at.REACH + i] = scene.surface[known, 3]
+        kind = words[packet + 16 * at.FOUND + i]
+        words[at.U + i] = np.int32((kind >= 0) & (kind < MIRROR))
+        words[at.V + i] = np.int32(is_specular(kind))
+    diffuse = at.push(work, packet, lanes.marked(work, at.U), queues[0], diffuse)
+    specular = at.push(work, packet, lanes.marked(work, at.V), queues[1], specular)
+    return diffuse, specular
+
+
+@inline
+def choose_lights(scene, work):
+    """A light for each lane by LIGHT_U, which is rescaled to [0, 1) for another use, and its row."""
+    words = work.view(np.int32)
+    cdf = scene.light_cdf
+    for i in range(LANES):
+        words[at.CHOSEN + i] = 0
+    left = cdf.shape[0]
+    while left > 1:  # `warp.pick` for lanes
+        half = left >> 1
+        for i in range(LANES):
+            before = cdf[np.uint64(words[at.CHOSEN + i] + half - 1)]
+            words[at.CHOSEN + i] += np.int32(half) * np.int32(before <= work[at.LIGHT_U + i])
+        left -= half
+    for i in range(LANES):
+        light = words[at.CHOSEN + i]
+        work[at.LIGHT_PDF + i] = cdf[np.uint64(light)]
+        work[at.LIGHT_REACH + i] = cdf[np.uint64(max(light - 1, 0))]
+    for i in range(LANES):
+        before = work[at.LIGHT_REACH + i] if words[at.CHOSEN + i] > 0 else ZERO
+        u = (work[at.LIGHT_U + i] - before) / (work[at.LIGHT_PDF + i] - before)
+        work[at.LIGHT_U + i] = min(u, ALMOST_ONE)
+    lanes.take16(scene.light_row, work, at.CHOSEN, at.CORNER)
+    for i in range(LANES):
+        work[at.LIGHT_REACH + i] = scene.light_surface[np.uint64(words[at.CHOSEN + i]), 3]
 
 
 @inline

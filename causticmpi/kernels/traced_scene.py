@@ -16,12 +16,14 @@ class TracedScene(NamedTuple):
     handle          address of the Embree scene
     triangle_count  primitives below it are triangles, from it on spheres
     surface         (P, 8) float32: unit normal and largest coordinate of a triangle; centre and radius of a sphere;
-    material and light as integers, all in one cache line
-    material        (P,) int32; light (P,) int32: row of the light arrays or -1; both columns of `surface`
+    material, light and kind of material as integers, all in one cache line
+    material        (P,) int32; light (P,) int32: row of the light arrays or -1; primitive_kind (P,) int32: all columns
+    of `surface`
     kind            (M,) int32; reflectance, specular (M, 3), exponent, ior (M,) float32: see SceneData
     light_corner, light_edge1, light_edge2  (L, 3) float32: triangle of a light; a sphere light has its centre and
     edges 0 light_surface   (L, 4) float32: first columns of the light's `surface` row
     light_radiance  (L, 3) float32; light_cdf (L,) float32: choice by power; light_pdf (L,) float32: units^-2 (area)
+    light_row       (L, 16) float32: corner, edge1, edge2, normal, pdf and radiance of a light in one cache line
     """
 
     handle: int
@@ -29,6 +31,7 @@ class TracedScene(NamedTuple):
     surface: Any
     material: Any
     light: Any
+    primitive_kind: Any
     kind: Any
     reflectance: Any
     specular: Any
@@ -41,6 +44,7 @@ class TracedScene(NamedTuple):
     light_radiance: Any
     light_cdf: Any
     light_pdf: Any
+    light_row: Any
 
 
 OFFSET = np.float32(2.0**-19)

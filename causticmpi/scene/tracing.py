@@ -9,7 +9,7 @@ from causticmpi.kernels.embree import EmbreeScene
 from causticmpi.kernels.traced_scene import TracedScene
 from causticmpi.scene.data import SceneData
 
-MATERIAL, LIGHT = 4, 5
+MATERIAL, LIGHT, KIND = 4, 5, 6
 """Columns of `surface` that hold integers: all that a hit asks for lies in one cache line."""
 
 
@@ -31,6 +31,7 @@ def primitive_arrays(scene: SceneData) -> dict[str, np.ndarray]:
     lights = np.flatnonzero(scene.primitive_emission >= 0)
     words = surface.view(np.int32)
     words[:, MATERIAL] = scene.primitive_material
+    words[:, KIND] = scene.material_kind[scene.primitive_material]
     words[:, LIGHT] = -1
     words[lights, LIGHT] = np.arange(len(lights), dtype=np.int32)
     radiance = scene.emission[scene.primitive_emission[lights]].astype(np.float32).reshape(-1, 3)
@@ -40,15 +41,18 @@ def primitive_arrays(scene: SceneData) -> dict[str, np.ndarray]:
     is_triangle = lights < triangle_count
     corners[:, is_triangle] = np.stack([v[:, 0], edge1, edge2])[:, lights[is_triangle]]
     corners[0, ~is_triangle] = scene.spheres[lights[~is_triangle] - triangle_count, :3]
+    light_surface = np.ascontiguousarray(surface[lights, :4]).reshape(-1, 4)
+    light_pdf = (probability / area[lights]).astype(np.float32)
     return {
         "surface": surface,
         "light_corner": corners[0],
         "light_edge1": corners[1],
         "light_edge2": corners[2],
-        "light_surface": np.ascontiguousarray(surface[lights, :4]).reshape(-1, 4),
+        "light_surface": light_surface,
         "light_radiance": radiance,
         "light_cdf": _closed_cdf(probability),
-        "light_pdf": (probability / area[lights]).astype(np.float32),
+        "light_pdf": light_pdf,
+        "light_row": np.concatenate([*corners, light_surface[:, :3], light_pdf[:, None], radiance], axis=1),
     }
 
 
@@ -67,6 +71,7 @@ def traced_scene(scene: SceneData, embree: EmbreeScene, derived: dict[str, np.nd
         triangle_count=len(scene.triangles),
         material=words[:, MATERIAL],
         light=words[:, LIGHT],
+        primitive_kind=words[:, KIND],
         kind=scene.material_kind,
         reflectance=scene.material_reflectance,
         specular=scene.material_specular,
