@@ -15,6 +15,7 @@ from causticmpi.stability.row import Kind, Row
 from causticmpi.stability.verdicts import shown
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure, SubFigure
 
@@ -24,6 +25,9 @@ SPREAD = 4.0
 """Points between the marks of two methods in the chart of z."""
 MOST_TICKS = 8
 """Values that have a tick of their own each on a logarithmic axis."""
+GREY = "#777777"
+FIT = 52
+"""Characters beside one another under a panel."""
 FAR = 6.0
 """Standard errors at which the chart of z ends."""
 
@@ -73,61 +77,83 @@ def chart(page: Page, rows: Sequence[Row]) -> "Figure":
 
     assert page.sweep is not None
     values = page.sweep.values
-    figure = Figure(figsize=(9.5, 6), layout="constrained")
+    figure = Figure(figsize=(9.5, 6.6), layout="constrained")
     grid = figure.subfigures(2, 1, height_ratios=(3, 1.25), squeeze=False)
     upper, lower = grid[:, 0]
     error, deviation = upper.subplots(1, 2)
     by_number = all(math.isfinite(row.x) and row.x > 0 for row in rows)
     place = {shown(row.value): row.x if by_number else float(_index(values, row)) for row in rows}
     for panel in (error, deviation):
-        _axis(panel, page, place, by_number)
+        _axis(panel, page, rows, place, by_number)
     for i, contender in enumerate(page.contenders):
         own = sorted((row for row in rows if row.label == contender.label), key=lambda row: place[shown(row.value)])
         aside = SPREAD * (i - (len(page.contenders) - 1) / 2)
         _curves(error, deviation, own, place, PALETTE[i % len(PALETTE)], aside)
+    if any(not row.trusted and math.isfinite(row.relmse) for row in rows):
+        error.plot([], [], "o:", color=GREY, markerfacecolor="white", label="too few hits to judge")
+    if any(row.off for row in rows):
+        error.plot([], [], "X", color=GREY, markersize=9, label="wrong")
     error.set(yscale="log", title=f"relMSE after {page.equal_time:g} CPU seconds", ylabel="relMSE")
     title = "deviation of the picture's mean from the truth" if page.truth.exact != 0 else "leaked radiance"
     deviation.axhspan(-3, 3, color="#eeeeee", zorder=0)
     deviation.set(ylim=(-FAR - 0.5, FAR + 0.5), title=title, ylabel=f"standard errors (clipped at {FAR:g})")
     deviation.set_xlim(error.get_xlim())
-    for panel in (error, deviation):
-        _legend(panel)
+    _legend(upper, (error, deviation))
     _strip(lower, page, sorted(rows, key=lambda row: place[shown(row.value)]))
     return figure
 
 
-def _legend(panel: "Axes") -> None:
-    """Of what is drawn, each name once."""
-    named = dict(zip(*reversed(panel.get_legend_handles_labels()), strict=True))
-    if named:
-        panel.legend(named.values(), named.keys(), fontsize=8, framealpha=0.85, edgecolor="none")
+def _legend(figure: "SubFigure", panels: Sequence["Axes"]) -> None:
+    """Of what is drawn, each name once, below the panels: in one it would hide marks."""
+    named: dict[str, Artist] = {}
+    for panel in panels:
+        for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):
+            named.setdefault(label, handle)
+    figure.legend(named.values(), named.keys(), fontsize=8, edgecolor="none", ncols=6, loc="outside lower center")
 
 
 def _index(values: Sequence[object], row: Row) -> int:
     return list(values).index(row.value)
 
 
-def _axis(panel: "Axes", page: Page, place: dict[str, float], by_number: bool) -> None:
+def _axis(panel: "Axes", page: Page, rows: Sequence[Row], place: dict[str, float], by_number: bool) -> None:
     assert page.sweep is not None
+    # `auto` has a number of its own, beside others: a line shows it.
+    ticks = {label: x for label, x in place.items() if not (by_number and label == page.sweep.start == "auto")}
     panel.set_xlabel(page.sweep.name)
     if by_number and max(place.values()) > 8 * min(place.values()):
         panel.set_xscale("log")
-        if len(place) <= MOST_TICKS:
-            panel.set_xticks(list(place.values()), list(place))
+        if len(ticks) <= MOST_TICKS:
+            panel.set_xticks(list(ticks.values()), list(ticks))
             panel.set_xticks([], minor=True)
+    elif by_number and len(ticks) <= MOST_TICKS and _apart(list(ticks.values())):
+        panel.set_xticks(list(ticks.values()), list(ticks))
     if not by_number:
-        turned = sum(map(len, place)) > 24
+        turned = sum(len(label) + 2 for label in place) > FIT
         panel.set_xticks(
             list(place.values()), list(place), rotation=30 if turned else 0, ha="right" if turned else "center"
         )
+        panel.set_xlim(-0.4, len(place) - 0.6)
     start = None if page.sweep.start is None else place.get(shown(page.sweep.start))
     if start is not None:
         panel.axvline(start, color="#999999", linestyle=":", linewidth=1.5)
-        panel.annotate(
-            "default", (start, 0.02), xycoords=("data", "axes fraction"), rotation=90, fontsize=8, color="#777777"
-        )
+        _upright(panel, start, f"default ({page.sweep.start})" if page.sweep.start == "auto" else "default")
+    for label in {shown(row.value) for row in rows} - {
+        shown(row.value) for row in rows if row.kind is not Kind.REFUSED
+    }:
+        _upright(panel, place[label], "refused")
     panel.grid(True, which="major", color="#dddddd", linewidth=0.8)
     panel.set_axisbelow(True)
+
+
+def _upright(panel: "Axes", x: float, text: str) -> None:
+    panel.annotate(text, (x, 0.02), xycoords=("data", "axes fraction"), rotation=90, fontsize=8, color=GREY)
+
+
+def _apart(values: list[float]) -> bool:
+    """Whether labels at these values would not touch."""
+    gaps = np.diff(sorted(values))
+    return len(gaps) == 0 or bool(gaps.min() > 0.06 * gaps.sum())
 
 
 def _curves(
@@ -142,24 +168,25 @@ def _curves(
     label = rows[0].label + (" (biased)" if any(row.biased for row in rows) else "")
     if known:
         x = [place[shown(row.value)] for row in known]
-        error.plot(x, [row.relmse for row in known], "-", color=colour, linewidth=1.6, alpha=0.8)
-        for trusted in (True, False):
-            some = [row for row in known if row.trusted == trusted]
-            face = colour if trusted else "none"
-            name = label if trusted else f"{label}: too few hits to judge"
-            error.plot(
-                [place[shown(row.value)] for row in some], [row.relmse for row in some], "o", color=colour,
-                markerfacecolor=face, label=name if some else None,
-            )  # fmt: skip
+        error.plot(x, [row.relmse for row in known], ":", color=colour, linewidth=1.2, alpha=0.8)
+        believed = [row.relmse if row.trusted else math.nan for row in known]  # a line from one believed to the next
+        error.plot(x, believed, "-", color=colour, linewidth=1.6, alpha=0.8)
+        error.plot([], [], "-o", color=colour, label=label)
+        for row in known:
+            marker, size = ("X", 9.0) if row.off else ("o", 6.0)
+            face = colour if row.trusted else "white"
+            error.plot(place[shown(row.value)], row.relmse, marker, color=colour, markerfacecolor=face, markersize=size)
     moved = deviation.transData + ScaledTranslation(aside / 72, 0, deviation.figure.dpi_scale_trans)
-    for row in rows:
+    for row in (row for row in rows if row.kind is not Kind.REFUSED):
         meaning, marker, face, size = _mark(row, colour)
         placed = row.tested or row.kind is Kind.BLIND and math.isfinite(row.whole)
         z = float(np.clip(row.whole, -FAR, FAR)) if placed else -FAR
         deviation.plot(
-            place[shown(row.value)], z, marker, color=colour, markerfacecolor=face, markersize=size, label=meaning,
-            transform=moved,
-        )  # fmt: skip
+            place[shown(row.value)], z, marker, color=colour, markerfacecolor=face, markersize=size, transform=moved
+        )
+        if meaning:  # grey: it is the shape that has this meaning, in any colour
+            shape = "none" if face == "none" else GREY
+            deviation.plot([], [], marker, color=GREY, markerfacecolor=shape, markersize=size, label=meaning)
 
 
 def _mark(row: Row, colour: str) -> tuple[str | None, str, str, float]:
@@ -189,6 +216,7 @@ def _strip(figure: "SubFigure", page: Page, rows: Sequence[Row]) -> None:
         cell.set(xticks=[], yticks=[])
         cell.set_title(shown(row.value), fontsize=9)
         if row.rgb is None:
+            cell.set_box_aspect(1)
             cell.text(0.5, 0.5, "refused", ha="center", va="center", fontsize=8, wrap=True)
         elif row.signed is not None:
             cell.imshow(row.signed, vmin=-0.5, vmax=0.5, cmap="RdBu_r", interpolation="nearest")

@@ -12,6 +12,7 @@ from causticmpi.stability.runs import TRUE_WITHIN, Coverage, Long, Result, Stops
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 
@@ -79,14 +80,29 @@ def chart(results: Sequence[Result]) -> "Figure":
         if isinstance(found, Coverage):
             _coverage(left, right, found, colour, i)
         elif isinstance(found, Stops):
-            _stops(left, right, found, colour)
+            _stops(left, right, found, colour, i)
         else:
             _long(left, right, found, colour)
     for panel in (left, right):
+        for axis in (panel.xaxis, panel.yaxis):
+            if axis.get_scale() == "log":
+                _plain_ticks(axis)
         panel.grid(True, which="major", color="#dddddd", linewidth=0.8)
         panel.set_axisbelow(True)
         panel.legend(fontsize=8, framealpha=0.85, edgecolor="none")
     return figure
+
+
+def _plain_ticks(axis: "Axis") -> None:
+    """Plain figures on a logarithmic axis of less than a few decades, whose powers of ten alone would say little."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    low, high = axis.get_view_interval()
+    if high > 200 * low:
+        return
+    axis.set_major_locator(LogLocator(10, subs=(1, 2, 5) if high > 8 * low else (1, 1.5, 2, 3, 5, 7)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def _coverage(left: "Axes", right: "Axes", found: Coverage, colour: str, index: int) -> None:
@@ -96,26 +112,32 @@ def _coverage(left: "Axes", right: "Axes", found: Coverage, colour: str, index: 
     ratio, factor = ratio[order], found.factor[order]
     left.vlines(x, ratio / factor, ratio * factor, color=colour, linewidth=1, alpha=0.5)
     left.plot(x, ratio, "o", color=colour, markersize=3.5, label=found.label)
-    left.axhline(1, color="#555555", linewidth=1)
-    left.axhspan(1 / TRUE_WITHIN, TRUE_WITHIN, color="#eeeeee", zorder=0)
+    if index == 0:
+        left.axhline(1, color="#555555", linewidth=1)
+        left.axhspan(1 / TRUE_WITHIN, TRUE_WITHIN, color="#eeeeee", zorder=0, label=f"within {TRUE_WITHIN}")
     left.set(
         yscale="log",
         title="estimated over true relMSE, with its interval",
-        xlabel="runs, by estimate",
+        xlabel="runs, in order of their estimates",
         ylabel="estimated / true",
     )
     right.plot(found.estimated, np.maximum(found.actual, 1e-300), "o", color=colour, markersize=4, label=found.label)
     right.set(xscale="log", yscale="log", xlabel="estimated relMSE", ylabel="squared error of the run's own picture")
     right.set_title("a run's estimate and its picture's own error")
     low, high = found.estimated.min() / 1.5, found.estimated.max() * 1.5
-    right.plot([low, high], [low, high], color="#999999", linewidth=1)
+    right.plot([low, high], [low, high], color="#999999", linewidth=1, label="equal" if index == 0 else None)
 
 
-def _stops(left: "Axes", right: "Axes", found: Stops, colour: str) -> None:
+def _stops(left: "Axes", right: "Axes", found: Stops, colour: str, index: int) -> None:
     left.plot(found.passes, found.actual / found.target, "o", color=colour, markersize=4, label=found.label)
-    left.axhline(1, color="#555555", linewidth=1)
+    if index == 0:
+        left.axhline(1, color="#555555", linewidth=1, label="as wanted")
     left.set(
-        yscale="log", xscale="log", title="error where runs stopped", xlabel="passes", ylabel="error over wanted error"
+        yscale="log",
+        xscale="log",
+        title="error where runs stopped",
+        xlabel="passes of the run",
+        ylabel="error / wanted error",
     )
     x = [f"{found.label},\nhalves stop\neach other", f"{found.label},\nown error"]
     half = abs(found.difference / found.z), abs(found.naive_difference / found.naive_z)
@@ -125,7 +147,7 @@ def _stops(left: "Axes", right: "Axes", found: Stops, colour: str) -> None:
     )  # fmt: skip
     right.axhline(0, color="#555555", linewidth=1)
     right.margins(x=0.15)
-    right.set(title="mean of all pictures, off by (2 standard errors)", ylabel="%")
+    right.set(title="mean of all pictures, with 2 standard errors", ylabel="off by [%]")
 
 
 def _long(left: "Axes", right: "Axes", found: Long, colour: str) -> None:
