@@ -1,7 +1,8 @@
 """The batch scripts on a real SLURM of pretended nodes: interrupted, queued again, cancelled, gone on with, same bits.
 
 Skipped where SLURM is not installed; CAUSTICMPI_SLURM=1 installs it (root, Debian). The long story, with the time limit
-itself and the two minutes that SLURM makes a requeued job wait, is tests/slurm_lab/long_story.
+itself and the two minutes that SLURM makes a requeued job wait, is tests/slurm_lab/long_story; that of an array of
+comparisons is tests/slurm_lab/array_story.
 """
 
 import os
