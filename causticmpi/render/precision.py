@@ -109,8 +109,8 @@ def _group_variance(sums, before, kept, passes, floor):
 class Precision:
     """Groups of a run: when one ends (`due`, on every rank) and what it says (rank 0 only).
 
-    width: pixels of a row of the film; errors: relMSE of a single pass, by each group but the first, which has none before it; passes: of each of these;
-    first: of the first.
+    width: pixels of a row of the film; errors: relMSE of a single pass, by each group but the first, which has none
+    before it; passes: of each of these; first: of the first.
     """
 
     width: int

@@ -43,8 +43,10 @@ class Finding:
 
 @dataclass(frozen=True)
 class Making:
-    """How a report is made. command: that makes it anew; scale: of CPU times; turns: seeds; seconds: of wall clock."""
+    """How a report is made. version: of the program, when it began; command: that makes it anew; scale: of CPU times;
+    turns: seeds; seconds: of wall clock."""
 
+    version: str
     command: str
     scale: float
     processes: int
@@ -92,19 +94,24 @@ def _section(finding: Finding) -> Section:
 def _how(made: Making) -> str:
     seconds = f"{made.seconds / 60:.0f} minutes" if made.seconds >= 120 else f"{made.seconds:.0f} s"
     return (
-        f"causticmpi {__version__}{_revision()}, {made.processes} processes on {_machine()}, {seconds}, CPU times times "
-        f"{made.scale:g}. Made anew by: {made.command}"
+        f"causticmpi {made.version}, {made.processes} processes on {_machine()}, {seconds}, {_seeds(made.turns)}, CPU "
+        f"times times {made.scale:g}. Made anew by: {made.command}"
     )
 
 
-def _revision() -> str:
-    """Of the clone, empty where there is none."""
+def _seeds(turns: int) -> str:
+    last = f" to {1 + (turns - 1) * sweep.NEXT_SEED}" if turns > 1 else ""
+    return f"seeds from {sweep.SEED}{last}, rivals' from {sweep.RIVAL_SEED}"
+
+
+def version() -> str:
+    """Of the program, and the revision of its clone, if it is in one."""
     command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--exclude=*"]
     try:
         found = subprocess.run(command, capture_output=True, text=True, timeout=10)
     except (OSError, subprocess.TimeoutExpired):
-        return ""
-    return f" ({found.stdout.strip()})" if found.returncode == 0 else ""
+        return __version__
+    return f"{__version__} ({found.stdout.strip()})" if found.returncode == 0 else __version__
 
 
 def _machine() -> str:

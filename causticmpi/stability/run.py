@@ -71,13 +71,13 @@ def make_report(
     if docs is not None:
         report.check_place(docs, turns)
     out.mkdir(parents=True, exist_ok=True)
-    began = time.monotonic()
+    began, version = time.monotonic(), report.version()
     findings: dict[str, Finding] = {}
     for loaded, results, seconds in _measured(pages, out, scale, processes, turns):
         finding = _finding(loaded, results, turns, seconds)
         findings[loaded.name] = finding
         so_far = [findings[p.name] for p in pages if p.name in findings]
-        made = Making(command, scale, processes, turns, time.monotonic() - began)
+        made = Making(version, command, scale, processes, turns, time.monotonic() - began)
         print(f"{clock(made.seconds)} {loaded.name}: {finding.said}", flush=True)
         # After every page: a report that is stopped holds what has been measured.
         report.write(out, so_far, made)
@@ -100,7 +100,7 @@ class _Task(NamedTuple):
 def _measured(
     pages: Sequence[Loaded], out: Path, scale: float, processes: int, turns: int
 ) -> Iterator[tuple[Loaded, dict[str, Any], float]]:
-    """Pages as they are done, their tasks' results by name, and their CPU seconds: of what several share, in the first."""
+    """Pages as they are done, their tasks' results by name, and their CPU seconds: of shared tasks, in the first."""
     by_page = {loaded.name: (loaded, _tasks(loaded, out / loaded.name, scale, turns)) for loaded in pages}
     users: dict[Hashable, list[tuple[str, _Task]]] = {}
     for name, (_, tasks) in by_page.items():
@@ -195,7 +195,10 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--seeds", type=count, default=1, metavar="N", help="measure each sweep N times")
     parser.add_argument("--docs", type=Path, metavar="FILE", help="document to put the verdicts into, at its marks")
     parser.add_argument("-j", dest="processes", type=count, default=2, help="processes")
-    command = shlex.join(["scripts/stability", *arguments])
+    every = {str(file) for file in Path("configs/stability").glob("*.yaml")}
+    # Those of all pages are the script's own words.
+    typed = [word for word in arguments if word not in every] if every <= {*arguments} else arguments
+    command = shlex.join(["scripts/stability", *typed])
     try:
         given = parser.parse_args(arguments)
         wrong = make_report(given.pages, given.out, given.scale, given.processes, command, given.seeds, given.docs)

@@ -223,4 +223,4 @@ def _strip(figure: "SubFigure", page: Page, rows: Sequence[Row]) -> None:
         else:
             cell.imshow(srgb_bytes(row.rgb), interpolation="nearest")
     signed = any(row.signed is not None for row in own)
-    cells[0].set_ylabel(f"{label}:\ntoo bright red,\ntoo dark blue" if signed else label, fontsize=8)
+    cells[0].set_ylabel(f"{label}:\ntoo bright red,\ntoo dark blue\n(±50 %)" if signed else label, fontsize=8)

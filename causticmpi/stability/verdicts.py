@@ -108,7 +108,9 @@ def _rivals(page: Page, rows: Sequence[Row]) -> str:
         text = f"{contender.label} x {number(best[1])} at {shown(best[0].value)}"
         said.append(text if best is worst else text + f", x {number(worst[1])} at {shown(worst[0].value)}")
     name = page.sweep.name if page.sweep else "value"
-    return f"Efficiency over that of {page.baseline}, best and worst {name}: {_sentence(said)}" if said else ""
+    if not said:
+        return f"No efficiency over that of {page.baseline}, which has too few hits."
+    return f"Efficiency over that of {page.baseline}, best and worst {name}: {_sentence(said)}"
 
 
 def _setting(page: Page, rows: Sequence[Row]) -> str:
@@ -191,7 +193,7 @@ def _lies(page: Page, rows: Sequence[Row]) -> str:
         text = f"{contender.label}: refuses {' and '.join(refusals) or 'nothing'}"
         if honest is not None and lied and honest.relmse > 0:
             worst = max(lied, key=lambda row: row.relmse)
-            text += f", takes {len(lied)}, at worst for x {number(worst.relmse / honest.relmse)} the honest error"
+            text += f", takes {len(lied)} others, at worst for x {number(worst.relmse / honest.relmse)} the honest error"
             text += f" ({shown(worst.value)})"
         said.append(text)
     return _sentence(said)
