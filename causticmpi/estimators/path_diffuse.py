@@ -66,12 +66,12 @@ def emit(scene, work, used):
 
 
 @inline
-def shine_from_spheres(work):
+def shine_from_spheres(scene, work):
     """Lights that are spheres: the point itself for CORNER."""
     for i in range(LANES):
         e1, s = get3(work, at.EDGE1, i), get3(work, at.CORNER, i)
         if e1[0] == ZERO and e1[1] == ZERO and e1[2] == ZERO:
-            radius = work[at.LIGHT_REACH + i]
+            radius = scene.light_surface[work.view(np.int32)[at.CHOSEN + i], 3]
             n = warp.uniform_sphere(work[at.LIGHT_U + i], work[at.LIGHT_V + i])
             put3(work, at.CORNER, i, vec.along(s, n, radius))
             put3(work, at.LIGHT_NORMAL, i, n)
@@ -132,7 +132,7 @@ def connect(scene, work, glossy):
         e1 = get3(work, at.EDGE1, i)
         spheres += (e1[0] == ZERO) & (e1[1] == ZERO) & (e1[2] == ZERO)
     if spheres > 0:
-        shine_from_spheres(work)
+        shine_from_spheres(scene, work)
     used = direct_light(work)
     if used == 0:
         return 0

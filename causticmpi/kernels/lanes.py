@@ -110,6 +110,7 @@ def _copy_words(builder: Any, row: Any, to: Any) -> None:
 _copy: Any = _intrinsic(numba.types.void, _copy_words, 2)
 _marked: Any = _intrinsic(numba.types.intp, _marked_lanes, 1)
 _count_bits: Any = _intrinsic(numba.types.intp, lambda builder, mask: builder.ctpop(mask), 1)
+_first_bit: Any = _intrinsic(numba.types.intp, lambda builder, mask: builder.cttz(mask, _BIT(1)), 1)
 _pack: Any = _intrinsic(numba.types.void, _pack_words, 3)
 _pack_long: Any = _intrinsic(numba.types.void, _pack_longs, 3)
 _take8: Any = _intrinsic(numba.types.void, _take_rows(8), 3)
@@ -126,6 +127,12 @@ def marked(work, row):
 def count(mask):
     """How many lanes a mask has."""
     return _count_bits(mask)
+
+
+@inline
+def first(mask):
+    """The first lane of a mask, which has any."""
+    return _first_bit(mask)
 
 
 @inline

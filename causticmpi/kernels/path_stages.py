@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 
-from causticmpi.kernels import lanes, rng, vec
+from causticmpi.kernels import lanes, rng, vec, warp
 from causticmpi.kernels import path_layout as at
 from causticmpi.kernels.embree import GEOM, LANES, MISS, PRIM, RAY16, TFAR, VALID, rtc_intersect16
 from causticmpi.kernels.jit import inline, prefetch
@@ -95,6 +95,7 @@ def tell_kinds(scene, work, packet):
     """FOUND: kinds of material that a packet has hit, -1 for none."""
     words = work.view(np.int32)
     number_hits(scene, work, packet)
+    ask_for_hits(scene, work, packet)
     for i in range(LANES):
         known = np.uint64(max(words[packet + 16 * PRIM + i], np.int32(0)))
         words[packet + 16 * at.FOUND + i] = scene.primitive_kind[known]
@@ -116,31 +117,48 @@ def queue_found(work, packet, queues, diffuse, specular):
     return diffuse, specular
 
 
+FEW_LIGHTS = 32
+"""Up to so many lights are looked through one by one, in step for all lanes."""
+
+
 @inline
 def choose_lights(scene, work):
-    """A light for each lane by LIGHT_U, which is rescaled to [0, 1) for another use, and its row."""
-    words = work.view(np.int32)
-    cdf = scene.light_cdf
+    """A light for each lane by LIGHT_U, which is rescaled to [0, 1) for another use: CHOSEN, its row, and LIGHT_REACH,
+    the largest coordinate of a triangle. It is the light that `traced_scene.pick_light` picks."""
+    words, cdf = work.view(np.int32), scene.light_cdf
+    before, after = at.LIGHT_REACH, at.LIGHT_PDF
     for i in range(LANES):
         words[at.CHOSEN + i] = 0
-    left = cdf.shape[0]
-    while left > 1:  # `warp.pick` for lanes
-        half = left >> 1
+        work[before + i] = ZERO
+        work[after + i] = ONE
+    if cdf.shape[0] <= FEW_LIGHTS:
+        for light in range(cdf.shape[0] - 1):
+            end = cdf[light]
+            for i in range(LANES):
+                past = end <= work[at.LIGHT_U + i]
+                words[at.CHOSEN + i] += np.int32(past)
+                work[before + i] = end if past else work[before + i]
+                work[after + i] = work[after + i] if past else min(work[after + i], end)
+    else:
         for i in range(LANES):
-            before = cdf[np.uint64(words[at.CHOSEN + i] + half - 1)]
-            words[at.CHOSEN + i] += np.int32(half) * np.int32(before <= work[at.LIGHT_U + i])
-        left -= half
+            light = warp.pick(cdf, work[at.LIGHT_U + i])
+            words[at.CHOSEN + i] = light
+            work[before + i] = cdf[light - 1] if light > 0 else ZERO
+            work[after + i] = cdf[light]
     for i in range(LANES):
-        light = words[at.CHOSEN + i]
-        work[at.LIGHT_PDF + i] = cdf[np.uint64(light)]
-        work[at.LIGHT_REACH + i] = cdf[np.uint64(max(light - 1, 0))]
-    for i in range(LANES):
-        before = work[at.LIGHT_REACH + i] if words[at.CHOSEN + i] > 0 else ZERO
-        u = (work[at.LIGHT_U + i] - before) / (work[at.LIGHT_PDF + i] - before)
+        u = (work[at.LIGHT_U + i] - work[before + i]) / (work[after + i] - work[before + i])
         work[at.LIGHT_U + i] = min(u, ALMOST_ONE)
     lanes.take16(scene.light_row, work, at.CHOSEN, at.CORNER)
     for i in range(LANES):
-        work[at.LIGHT_REACH + i] = scene.light_surface[np.uint64(words[at.CHOSEN + i]), 3]
+        corner = get3(work, at.CORNER, i)
+        a, b = vec.add(corner, get3(work, at.EDGE1, i)), vec.add(corner, get3(work, at.EDGE2, i))
+        work[at.LIGHT_REACH + i] = max(_farthest(corner), max(_farthest(a), _farthest(b)))
+
+
+@inline
+def _farthest(p):
+    """The largest coordinate of a point."""
+    return max(abs(p[0]), max(abs(p[1]), abs(p[2])))
 
 
 @inline

@@ -10,7 +10,7 @@ import numpy as np
 
 from causticmpi.kernels import particle_waves as waves
 from causticmpi.kernels import path_layout as at
-from causticmpi.kernels import rng
+from causticmpi.kernels import lanes, rng
 from causticmpi.kernels.aim import NATURAL
 from causticmpi.kernels.embree import LANES
 from causticmpi.kernels.jit import inline, kernel
@@ -30,19 +30,20 @@ class CausticPoints(NamedTuple):
 
 
 class _Found(NamedTuple):
-    """Caustic points of one group in the order found: point (n, 12) float32, its particle's number in the group and the
-    next point of the same particle, -1 for none (n,) int32; the first and last of each particle (GROUP,) int32."""
+    """Caustic points of one group in the order found: point (n, 12) float32, the next point of the same particle, -1
+    for none (n,) int32; the first and last of each particle (GROUP,) int32, for those whose bit is set in some
+    (GROUP / 64,) uint64."""
 
     point: Any
-    particle: Any
     next: Any
     first: Any
     last: Any
+    some: Any
 
 
 def _room(points: int) -> _Found:
-    numbers = [np.zeros(n, np.int32) for n in (points, points, waves.GROUP, waves.GROUP)]
-    return _Found(np.zeros((points, 12), np.float32), *numbers)
+    numbers = [np.zeros(n, np.int32) for n in (points, waves.GROUP, waves.GROUP)]
+    return _Found(np.zeros((points, 12), np.float32), *numbers, np.zeros(waves.GROUP // 64, np.uint64))
 
 
 @inline
@@ -51,22 +52,27 @@ def _note(scene, work, found, count):
     words = work.view(np.int32)
     for i in range(LANES):
         kind = words[at.KIND + i]
-        if words[at.CHAIN + i] == 0 or kind < 0 or kind >= MIRROR:
-            continue
-        if count < found.next.shape[0]:
-            for c in range(3):
-                found.point[count, c] = work[at.POINT + 16 * c + i]
-                found.point[count, 3 + c] = work[at.NORMAL + 16 * c + i]
-                found.point[count, 6 + c] = -work[at.DIRECTION + 16 * c + i]
-                found.point[count, 9 + c] = work[at.THROUGHPUT + 16 * c + i]
-            particle = words[at.PIXEL + i]
-            found.particle[count] = particle
-            found.next[count] = -1
-            if found.first[particle] < 0:
-                found.first[particle] = count
-            else:
-                found.next[found.last[particle]] = count
-            found.last[particle] = count
+        words[at.LIGHT + i] = np.int32((words[at.CHAIN + i] > 0) & (kind >= 0) & (kind < MIRROR))
+    caustic = lanes.marked(work, at.LIGHT)
+    if count + lanes.count(caustic) > found.next.shape[0]:
+        return count + lanes.count(caustic)
+    while caustic > 0:
+        i = lanes.first(caustic)
+        caustic &= caustic - 1
+        for c in range(3):
+            found.point[count, c] = work[at.POINT + 16 * c + i]
+            found.point[count, 3 + c] = work[at.NORMAL + 16 * c + i]
+            found.point[count, 6 + c] = -work[at.DIRECTION + 16 * c + i]
+            found.point[count, 9 + c] = work[at.THROUGHPUT + 16 * c + i]
+        particle = words[at.PIXEL + i]
+        word, bit = particle >> 6, np.uint64(1) << np.uint64(particle & 63)
+        found.next[count] = -1
+        if found.some[word] & bit:
+            found.next[found.last[particle]] = count
+        else:
+            found.some[word] |= bit
+            found.first[particle] = count
+        found.last[particle] = count
         count += 1
     return count
 
@@ -74,18 +80,22 @@ def _note(scene, work, found, count):
 @inline
 def _store(found, points, stored):
     """Hand over the points of a group, particle by particle. Returns (stored, particles until the last one needed)."""
-    for particle in range(waves.GROUP):
-        k = found.first[particle]
-        while k >= 0 and stored < points.power.shape[0]:
-            for c in range(3):
-                points.position[stored, c] = found.point[k, c]
-                points.normal[stored, c] = found.point[k, 3 + c]
-                points.direction[stored, c] = found.point[k, 6 + c]
-                points.power[stored, c] = found.point[k, 9 + c]
-            stored += 1
-            k = found.next[k]
-        if stored == points.power.shape[0]:
-            return stored, particle + 1
+    for word in range(waves.GROUP // 64):
+        left = found.some[word]
+        while left:
+            particle = 64 * word + lanes.first(np.int64(left))
+            left &= left - np.uint64(1)
+            k = found.first[particle]
+            while k >= 0 and stored < points.power.shape[0]:
+                for c in range(3):
+                    points.position[stored, c] = found.point[k, c]
+                    points.normal[stored, c] = found.point[k, 3 + c]
+                    points.direction[stored, c] = found.point[k, 6 + c]
+                    points.power[stored, c] = found.point[k, 9 + c]
+                stored += 1
+                k = found.next[k]
+            if stored == points.power.shape[0]:
+                return stored, particle + 1
     return stored, waves.GROUP
 
 
@@ -99,7 +109,7 @@ def _shoot(scene, work, queues, seed, first, last, aim, points, stored, found):
     traced, count = 0, 0
     while first < last and stored < points.power.shape[0]:
         end = min(last, first + waves.GROUP)
-        found.first[:] = -1
+        found.some[:] = 0
         waiting = 0
         for number in range(0, end - first, LANES):
             emit_aimed(scene, work, aim, seed, rng.PHOTON, 0, first + number, end, number)

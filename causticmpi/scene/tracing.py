@@ -45,6 +45,7 @@ def primitive_arrays(scene: SceneData) -> dict[str, np.ndarray]:
     light_pdf = (probability / area[lights]).astype(np.float32)
     return {
         "surface": surface,
+        "primitive_kind": words[:, KIND].astype(np.int8),
         "light_corner": corners[0],
         "light_edge1": corners[1],
         "light_edge2": corners[2],
@@ -71,7 +72,6 @@ def traced_scene(scene: SceneData, embree: EmbreeScene, derived: dict[str, np.nd
         triangle_count=len(scene.triangles),
         material=words[:, MATERIAL],
         light=words[:, LIGHT],
-        primitive_kind=words[:, KIND],
         kind=scene.material_kind,
         reflectance=scene.material_reflectance,
         specular=scene.material_specular,
