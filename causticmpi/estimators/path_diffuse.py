@@ -11,21 +11,25 @@ from causticmpi.kernels.eye_path import emitted, facing
 from causticmpi.kernels.jit import inline
 from causticmpi.kernels.material_kinds import PHONG
 from causticmpi.kernels.path_layout import get3, put3
-from causticmpi.kernels.path_stages import BRANCH, choose_lights, queue_found, tell_kinds, trace_packet
+from causticmpi.kernels.path_stages import (
+    BRANCH,
+    choose_lights,
+    play_roulette,
+    queue_found,
+    survival_of,
+    tell_kinds,
+    trace_packet,
+)
 from causticmpi.kernels.traced_scene import OFFSET, is_specular
 from causticmpi.kernels.vec import ALMOST_ONE, BLACK, INFINITY, INV_PI, ONE, PI, ZERO
 
-WORTH = np.float32(0.25)
-"""Roulette brings the throughput of a path that falls below this back to it."""
-SURE_DEPTH = 3
-"""From this many non-specular vertices on no path survives for certain, so that white rooms end too."""
 _LATTICE = (np.float32(0.8191725134), np.float32(0.6710436067), np.float32(0.5497004779))
 """Steps of the additive recurrence R3 [Roberts 2018]: the rays of a vertex share one random start."""
 
 
 @inline
 def meet(scene, work, used, first_split, second_split):
-    """Emission, materials and roulette of non-specular vertices. Returns how many of them have gloss."""
+    """Emission of non-specular vertices, and which of them go on. Returns how many of them have gloss."""
     words = work.view(np.int32)
     lights = 0
     for i in range(LANES):
@@ -36,17 +40,16 @@ def meet(scene, work, used, first_split, second_split):
     glossy = 0
     for i in range(LANES):
         throughput, depth = get3(work, at.THROUGHPUT, i), words[at.DEPTH + i]
-        shines = words[at.KIND + i] == PHONG
-        survival = min(vec.max3(throughput) / WORTH, bsdf.SURVIVAL if depth >= SURE_DEPTH else ONE)
-        survival = ONE if depth == 0 else survival
-        reflects = shines | (vec.max3(get3(work, at.REFLECTANCE, i)) > ZERO)
+        has_gloss = words[at.KIND + i] == PHONG
+        survival = survival_of(throughput, depth) if words[at.LIGHT + i] >= 0 else ONE  # others: `play_roulette`
+        reflects = has_gloss | (vec.max3(get3(work, at.REFLECTANCE, i)) > ZERO)
         alive = (i < used) & reflects & (work[at.SURVIVE + i] < survival)
         split = first_split if depth == 0 else (second_split if depth == 1 else 1)
         put3(work, at.THROUGHPUT, i, vec.scale(throughput, ONE / survival))
         put3(work, at.NORMAL, i, facing(get3(work, at.NORMAL, i), get3(work, at.DIRECTION, i)))
         work[at.ALIVE + i] = ONE if alive else ZERO
         words[at.SPLITS + i] = np.int32(split) if alive else np.int32(0)
-        glossy += alive & shines
+        glossy += alive & has_gloss
     return glossy
 
 
@@ -253,6 +256,7 @@ def name_found(scene, work, j, glossy):
             share = ONE / np.float32(words[at.SPLITS + i]) if is_specular(found[16 * at.FOUND + i]) else ONE
             put3(packet, 16 * at.FOUND_THROUGHPUT, i, vec.scale(vec.mul(get3(work, at.THROUGHPUT, i), f), share))
             packet[16 * at.FOUND_DOUBT + i] = ONE / density
+    play_roulette(work, first)
 
 
 @inline

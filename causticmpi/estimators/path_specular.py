@@ -8,7 +8,7 @@ from causticmpi.kernels.embree import LANES, RAY16
 from causticmpi.kernels.jit import inline
 from causticmpi.kernels.material_kinds import MIRROR
 from causticmpi.kernels.path_layout import get3, put3
-from causticmpi.kernels.path_stages import BRANCH, queue_found, tell_kinds
+from causticmpi.kernels.path_stages import BRANCH, play_roulette, queue_found, tell_kinds
 from causticmpi.kernels.vec import ONE, ZERO
 
 
@@ -42,6 +42,7 @@ def queue_packet(scene, work, queues, diffuse, specular):
         words[RAY16 + 16 * at.FOUND_PIXEL + i] = words[at.PIXEL + i]
         words[RAY16 + 16 * at.FOUND_DEPTH + i] = words[at.DEPTH + i]
         words[RAY16 + 16 * at.FOUND_CHAIN + i] = words[at.CHAIN + i] + np.int32(1)
+    play_roulette(work, RAY16)
     return queue_found(work, RAY16, queues, diffuse, specular)
 
 

@@ -92,8 +92,9 @@ ROOM = MOST_WAITING + LANES
 """Rows of what a stage finds out about its lanes: SURFACE, SIZE, MATERIAL, LIGHT and KIND are a row of `scene.surface`,
 CORNER to LIGHT_RADIANCE one of `scene.light_row`."""
 FOUND, FOUND_THROUGHPUT, FOUND_DOUBT, FOUND_PIXEL, FOUND_CHAIN, FOUND_KEY, FOUND_DEPTH = 12, 13, 16, 18, 19, 20, 22
+FOUND_LIGHT = 23
 """Rows of a traced packet, in which Embree's normal and the like are replaced by what a vertex is made of: the kind of
-material it is on, -1 for none, and the rows above."""
+material it is on, -1 for none, the rows above, and whether it is on a light."""
 PACKET_WORDS = 24 * LANES
 PACKETS = _SCRATCH_END
 """The packets of the rays of a block, FIRST_SPLIT of them."""

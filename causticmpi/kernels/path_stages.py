@@ -5,17 +5,21 @@ import math
 
 import numpy as np
 
-from causticmpi.kernels import lanes, rng, vec, warp
+from causticmpi.kernels import bsdf, lanes, rng, vec, warp
 from causticmpi.kernels import path_layout as at
 from causticmpi.kernels.embree import GEOM, LANES, MISS, PRIM, RAY16, TFAR, VALID, rtc_intersect16
 from causticmpi.kernels.jit import inline, prefetch
-from causticmpi.kernels.material_kinds import MIRROR
+from causticmpi.kernels.material_kinds import LIGHT_BIT, MIRROR
 from causticmpi.kernels.path_layout import get3, put3
 from causticmpi.kernels.traced_scene import OFFSET, is_specular
 from causticmpi.kernels.vec import ALMOST_ONE, HALF, INFINITY, ONE, TWO, ZERO
 
 CHOICE, DIRECTION, LIGHT, BRANCH = 0, 1, 2, 3
 """Dimensions of a vertex key; BRANCH + j names the vertex that its j-th ray finds."""
+WORTH = np.float32(0.25)
+"""Roulette brings the throughput of a path that falls below this back to it."""
+SURE_DEPTH = 3
+"""From this many non-specular vertices on no path survives for certain, so that white rooms end too."""
 
 
 @inline
@@ -92,7 +96,7 @@ def ask_for_hits(scene, work, packet):
 
 @inline
 def tell_kinds(scene, work, packet):
-    """FOUND: kinds of material that a packet has hit, -1 for none."""
+    """FOUND: kinds of material that a packet has hit, -1 for none; FOUND_LIGHT: not 0 for lights."""
     words = work.view(np.int32)
     number_hits(scene, work, packet)
     ask_for_hits(scene, work, packet)
@@ -101,7 +105,31 @@ def tell_kinds(scene, work, packet):
         words[packet + 16 * at.FOUND + i] = scene.primitive_kind[known]
     for i in range(LANES):
         kind = words[packet + 16 * at.FOUND + i]
+        words[packet + 16 * at.FOUND_LIGHT + i] = kind & LIGHT_BIT
+        kind &= ~LIGHT_BIT
         words[packet + 16 * at.FOUND + i] = np.int32(-1) if words[packet + 16 * PRIM + i] < 0 else kind
+
+
+@inline
+def survival_of(throughput, depth):
+    """With what probability roulette lets a path go on from its non-specular vertex number `depth`."""
+    survival = min(vec.max3(throughput) / WORTH, bsdf.SURVIVAL if depth >= SURE_DEPTH else ONE)
+    return ONE if depth == 0 else survival
+
+
+@inline
+def play_roulette(work, packet):
+    """Roulette at non-specular vertices that a packet has found. Those that die never wait, so that packets stay full;
+    lights wait all the same, to be seen."""
+    words, keys = work.view(np.int32), work.view(np.uint64)
+    for i in range(LANES):
+        kind, depth = words[packet + 16 * at.FOUND + i], words[packet + 16 * at.FOUND_DEPTH + i]
+        throughput = get3(work, packet + 16 * at.FOUND_THROUGHPUT, i)
+        exempt = is_specular(kind) | (words[packet + 16 * at.FOUND_LIGHT + i] != 0)
+        survival = ONE if exempt else survival_of(throughput, depth)
+        _, survive = rng.uniform2(keys[(packet + 16 * at.FOUND_KEY) // 2 + i], CHOICE)
+        words[packet + 16 * at.FOUND + i] = kind if survive < survival else np.int32(-1)
+        put3(work, packet + 16 * at.FOUND_THROUGHPUT, i, vec.scale(throughput, ONE / survival))
 
 
 @inline

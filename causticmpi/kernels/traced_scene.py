@@ -18,7 +18,7 @@ class TracedScene(NamedTuple):
     surface         (P, 8) float32: unit normal and largest coordinate of a triangle; centre and radius of a sphere;
     material, light and kind of material as integers, all in one cache line
     material        (P,) int32; light (P,) int32: row of the light arrays or -1; both columns of `surface`
-    primitive_kind  (P,) int8: kind of material, small enough to stay in the cache
+    primitive_kind  (P,) int8: kind of material, and LIGHT_BIT for lights: small enough to stay in the cache
     kind            (M,) int32; reflectance, specular (M, 3), exponent, ior (M,) float32: see SceneData
     light_corner, light_edge1, light_edge2  (L, 3) float32: triangle of a light; a sphere light has its centre and
     edges 0 light_surface   (L, 4) float32: first columns of the light's `surface` row

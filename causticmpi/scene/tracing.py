@@ -6,6 +6,7 @@ import numpy as np
 
 from causticmpi.config.records import Camera
 from causticmpi.kernels.embree import EmbreeScene
+from causticmpi.kernels.material_kinds import LIGHT_BIT
 from causticmpi.kernels.traced_scene import TracedScene
 from causticmpi.scene.data import SceneData
 
@@ -45,7 +46,7 @@ def primitive_arrays(scene: SceneData) -> dict[str, np.ndarray]:
     light_pdf = (probability / area[lights]).astype(np.float32)
     return {
         "surface": surface,
-        "primitive_kind": words[:, KIND].astype(np.int8),
+        "primitive_kind": (words[:, KIND] + LIGHT_BIT * (words[:, LIGHT] >= 0)).astype(np.int8),
         "light_corner": corners[0],
         "light_edge1": corners[1],
         "light_edge2": corners[2],
