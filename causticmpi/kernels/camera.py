@@ -34,10 +34,7 @@ def see_packet(scene, camera, rays, pixels, first, seed, pass_index):
     """
     used = 0
     for i in range(LANES):
-        rays[RAY16 + 16 * TFAR + i] = -ONE
-        if pixels[first + i, 0] < 0:
-            continue
-        used += 1
+        sees = pixels[first + i, 0] >= 0
         key = rng.make_key(seed, rng.CAMERA, pass_index, pixels[first + i, 2])
         u, v = rng.uniform2(key, 0)
         origin, direction = primary_ray(
@@ -46,8 +43,8 @@ def see_packet(scene, camera, rays, pixels, first, seed, pass_index):
         for c in range(3):
             rays[RAY16 + 16 * c + i] = origin[c]
             rays[RAY16 + 16 * (4 + c) + i] = direction[c]
-        rays[RAY16 + 16 * TFAR + i] = INFINITY
-    for i in range(LANES):
         rays[RAY16 + 16 * 3 + i] = ZERO
+        rays[RAY16 + 16 * TFAR + i] = INFINITY if sees else -ONE
+        used += sees
     intersect_neighbours(scene.handle, scene.triangle_count, rays)
     return used

@@ -18,7 +18,7 @@ from causticmpi.kernels import lanes
 from causticmpi.kernels.embree import LANES, PRIM, RAY16, TFAR, ray_buffer
 from causticmpi.kernels.jit import inline
 
-GROUP = 256
+GROUP = 512
 """Pixels whose paths go on together: enough to fill packets, few enough to stay in the cache."""
 FIRST_SPLIT, SECOND_SPLIT = 4, 2
 """Rays of the first and of the second non-specular vertex of a path (see `path_tracing`)."""
