@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from causticmpi.kernels import lanes, rng
 from causticmpi.kernels import particle_waves as waves
 from causticmpi.kernels import path_layout as at
-from causticmpi.kernels import lanes, rng
 from causticmpi.kernels.aim import NATURAL
 from causticmpi.kernels.embree import LANES
 from causticmpi.kernels.jit import inline, kernel
