@@ -18,7 +18,7 @@ from causticmpi.kernels import path_stages as stages
 from causticmpi.kernels import rng
 from causticmpi.kernels.camera import see_packet
 from causticmpi.kernels.embree import LANES, RAY16
-from causticmpi.kernels.jit import inline, kernel
+from causticmpi.kernels.jit import inline, kernel, prefetch
 from causticmpi.kernels.path_layout import put3
 from causticmpi.kernels.vec import WHITE, ZERO
 
@@ -33,7 +33,7 @@ def trace_paths(scene, camera, work, queues, splits, pixels, seed, pass_index, f
     traced = 0
     for first in range(0, pixels.shape[0], at.GROUP):
         group = pixels[first : first + at.GROUP]
-        rays, diffuse, specular = see_group(scene, camera, work, queues[0], group, seed, pass_index)
+        rays, diffuse, specular = see_group(scene, camera, work, queues[0], group, seed, pass_index, film)
         traced += rays
         wave = 0
         while diffuse + specular > 0:
@@ -66,8 +66,11 @@ def trace_paths(scene, camera, work, queues, splits, pixels, seed, pass_index, f
 
 
 @inline
-def see_group(scene, camera, work, queues, pixels, seed, pass_index):
-    """Let what the eye rays of all pixels meet wait. Returns (rays traced, vertices in either queue)."""
+def see_group(scene, camera, work, queues, pixels, seed, pass_index, film):
+    """Let what the eye rays of all pixels meet wait, and have the rows of the film that will be added to brought near.
+
+    Returns (rays traced, vertices in either queue).
+    """
     traced, diffuse, specular = 0, 0, 0
     words, keys = work.view(np.int32), work.view(np.uint64)
     for first in range(0, pixels.shape[0], LANES):
@@ -81,6 +84,8 @@ def see_group(scene, camera, work, queues, pixels, seed, pass_index):
             words[RAY16 + 16 * at.FOUND_PIXEL + i] = pixels[first + i, 3] << 1
             words[RAY16 + 16 * at.FOUND_DEPTH + i] = 0
             words[RAY16 + 16 * at.FOUND_CHAIN + i] = 0
+        for i in range(LANES):
+            prefetch(film.ctypes.data + 24 * np.int64(pixels[first + i, 3]))
         diffuse, specular = stages.queue_found(work, RAY16, queues, diffuse, specular)
     return traced, diffuse, specular
 
