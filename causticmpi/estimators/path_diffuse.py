@@ -174,27 +174,25 @@ def most_rays(work):
 def bounce(scene, work, j, glossy):
     """The j-th ray of every lane that sends as many, sampled by the BRDF. Returns the rays traced."""
     words = work.view(np.int32)
-    first = at.PACKETS + j * at.PACKET_WORDS
-    packet = work[first : first + at.PACKET_WORDS]
     step = np.float32(j)
     for i in range(LANES):
         n = get3(work, at.NORMAL, i)
         u, v = fraction(work[at.U + i] + step * _LATTICE[0]), fraction(work[at.V + i] + step * _LATTICE[1])
-        put3(packet, 0, i, vec.along(get3(work, at.POINT, i), n, work[at.OFFSET + i]))
-        put3(packet, 64, i, vec.to_world(warp.cosine_hemisphere(u, v), n))
-        packet[16 * TFAR + i] = INFINITY if j < words[at.SPLITS + i] else -ONE
+        put3(work, RAY16, i, vec.along(get3(work, at.POINT, i), n, work[at.OFFSET + i]))
+        put3(work, RAY16 + 64, i, vec.to_world(warp.cosine_hemisphere(u, v), n))
+        work[RAY16 + 16 * TFAR + i] = INFINITY if j < words[at.SPLITS + i] else -ONE
     if glossy > 0:
         for i in range(LANES):
             material = words[at.MATERIAL + i]
-            if packet[16 * TFAR + i] < ZERO or words[at.KIND + i] != PHONG:
+            if work[RAY16 + 16 * TFAR + i] < ZERO or words[at.KIND + i] != PHONG:
                 continue
             n, wo = get3(work, at.NORMAL, i), vec.neg(get3(work, at.DIRECTION, i))
             u, v = fraction(work[at.U + i] + step * _LATTICE[0]), fraction(work[at.V + i] + step * _LATTICE[1])
             direction = bsdf.sample(scene, material, n, wo, fraction(work[at.CHOICE + i] + step * _LATTICE[2]), u, v)
-            put3(packet, 64, i, direction)
+            put3(work, RAY16 + 64, i, direction)
             if vec.dot(direction, n) <= ZERO:
-                packet[16 * TFAR + i] = -ONE
-    return trace_packet(scene, work, first)
+                work[RAY16 + 16 * TFAR + i] = -ONE
+    return trace_packet(scene, work, RAY16)
 
 
 @inline
@@ -203,60 +201,71 @@ def fraction(x):
 
 
 @inline
-def queue_bounces(scene, work, queues, most, glossy, diffuse, specular):
-    """Let what the rays of a block have found wait. Returns how many vertices wait in either queue.
+def name_found(scene, work, j, glossy):
+    """What the j-th rays of a block have found, as vertices.
 
     All rays follow light to specular surfaces, at equal shares; other surfaces are for the first ray alone.
     """
-    if most == 0:
-        return diffuse, specular
-    for j in range(most):
-        name_found(scene, work, j, glossy)
-    if most == 1:
-        return queue_found(work, at.PACKETS, queues, diffuse, specular)
-    diffuse, _ = queue_found(work, at.PACKETS, queues, diffuse, specular)
-    words = work.view(np.int32)
-    for i in range(LANES):  # ray by ray of a lane, so that their order does not depend on who else is in the block
-        for j in range(words[at.SPLITS + i]):
-            packet = at.PACKETS + j * at.PACKET_WORDS
-            if is_specular(words[packet + 16 * at.FOUND + i]):
-                specular = at.push(work, packet, 1 << i, queues[1], specular)
-    return diffuse, specular
+    words, keys = work.view(np.int32), work.view(np.uint64)
+    tell_kinds(scene, work, RAY16)
+    for i in range(LANES):
+        kind, depth, pixel = words[_FOUND + i], words[at.DEPTH + i], words[at.PIXEL + i]
+        mirrors = is_specular(kind)
+        words[_FOUND + i] = kind if mirrors | (j == 0) else np.int32(-1)
+        share = ONE / np.float32(words[at.SPLITS + i]) if mirrors else ONE
+        throughput = vec.mul(get3(work, at.THROUGHPUT, i), get3(work, at.REFLECTANCE, i))
+        put3(work, RAY16 + 16 * at.FOUND_THROUGHPUT, i, vec.scale(throughput, share))
+        cosine = vec.dot(get3(work, at.NORMAL, i), get3(work, RAY16 + 64, i))
+        work[RAY16 + 16 * at.FOUND_DOUBT + i] = PI / cosine
+        keys[(RAY16 + 16 * at.FOUND_KEY) // 2 + i] = rng.subkey(keys[at.KEY // 2 + i], BRANCH + j)
+        words[RAY16 + 16 * at.FOUND_PIXEL + i] = pixel | np.int32(mirrors & (depth == 0))
+        words[RAY16 + 16 * at.FOUND_DEPTH + i] = depth + np.int32(1)
+        words[RAY16 + 16 * at.FOUND_CHAIN + i] = 0
+    if glossy > 0:
+        name_found_from_gloss(scene, work)
+    play_roulette(work, RAY16)
+
+
+_FOUND = RAY16 + 16 * at.FOUND
 
 
 @inline
-def name_found(scene, work, j, glossy):
-    """What the j-th rays of a block have found, as vertices."""
-    words, keys = work.view(np.int32), work.view(np.uint64)
-    first = at.PACKETS + j * at.PACKET_WORDS
-    tell_kinds(scene, work, first)
-    packet = work[first : first + at.PACKET_WORDS]
-    found, found_keys = packet.view(np.int32), packet.view(np.uint64)
+def name_found_from_gloss(scene, work):
+    """What `name_found` has put down for lanes with gloss, put right."""
+    words = work.view(np.int32)
     for i in range(LANES):
-        kind, depth, pixel = found[16 * at.FOUND + i], words[at.DEPTH + i], words[at.PIXEL + i]
-        mirrors = is_specular(kind)
-        found[16 * at.FOUND + i] = kind if mirrors | (j == 0) else np.int32(-1)
-        share = ONE / np.float32(words[at.SPLITS + i]) if mirrors else ONE
-        throughput = vec.mul(get3(work, at.THROUGHPUT, i), get3(work, at.REFLECTANCE, i))
-        put3(packet, 16 * at.FOUND_THROUGHPUT, i, vec.scale(throughput, share))
-        cosine = vec.dot(get3(work, at.NORMAL, i), get3(packet, 64, i))
-        packet[16 * at.FOUND_DOUBT + i] = PI / cosine
-        found_keys[8 * at.FOUND_KEY + i] = rng.subkey(keys[at.KEY // 2 + i], BRANCH + j)
-        found[16 * at.FOUND_PIXEL + i] = pixel | np.int32(1) if mirrors & (depth == 0) else pixel
-        found[16 * at.FOUND_DEPTH + i] = depth + np.int32(1)
-        found[16 * at.FOUND_CHAIN + i] = 0
-    if glossy > 0:
-        for i in range(LANES):
-            if words[at.KIND + i] != PHONG or found[16 * at.FOUND + i] < 0:
-                continue
-            material = words[at.MATERIAL + i]
-            n, wo, wi = get3(work, at.NORMAL, i), vec.neg(get3(work, at.DIRECTION, i)), get3(packet, 64, i)
-            density = bsdf.pdf(scene, material, n, wo, wi)
-            f = vec.scale(bsdf.evaluate(scene, material, n, wo, wi), vec.dot(wi, n) / density)
-            share = ONE / np.float32(words[at.SPLITS + i]) if is_specular(found[16 * at.FOUND + i]) else ONE
-            put3(packet, 16 * at.FOUND_THROUGHPUT, i, vec.scale(vec.mul(get3(work, at.THROUGHPUT, i), f), share))
-            packet[16 * at.FOUND_DOUBT + i] = ONE / density
-    play_roulette(work, first)
+        if words[at.KIND + i] != PHONG or words[_FOUND + i] < 0:
+            continue
+        material = words[at.MATERIAL + i]
+        n, wo, wi = get3(work, at.NORMAL, i), vec.neg(get3(work, at.DIRECTION, i)), get3(work, RAY16 + 64, i)
+        density = bsdf.pdf(scene, material, n, wo, wi)
+        f = vec.scale(bsdf.evaluate(scene, material, n, wo, wi), vec.dot(wi, n) / density)
+        share = ONE / np.float32(words[at.SPLITS + i]) if is_specular(words[_FOUND + i]) else ONE
+        put3(work, RAY16 + 16 * at.FOUND_THROUGHPUT, i, vec.scale(vec.mul(get3(work, at.THROUGHPUT, i), f), share))
+        work[RAY16 + 16 * at.FOUND_DOUBT + i] = ONE / density
+
+
+@inline
+def put_aside(work, j):
+    """Keep what the j-th rays have found until all rays of the block are traced."""
+    for row in range(0, at.PACKET_WORDS, LANES):
+        lanes.copy(work, RAY16 + row, work, at.PACKETS + j * at.PACKET_WORDS + row)
+
+
+@inline
+def queue_bounces(work, queues, most, diffuse, specular):
+    """Let what the rays of a block have found wait. Returns how many vertices wait in either queue."""
+    if most == 1:
+        return queue_found(work, RAY16, queues, diffuse, specular)
+    words = work.view(np.int32)
+    if most > 1:
+        diffuse, _ = queue_found(work, at.PACKETS, queues, diffuse, specular)
+        for i in range(LANES):  # ray by ray of a lane, so that their order does not depend on who else is in the block
+            for j in range(words[at.SPLITS + i]):
+                packet = at.PACKETS + j * at.PACKET_WORDS
+                if is_specular(words[packet + 16 * at.FOUND + i]):
+                    specular = at.push(work, packet, 1 << i, queues[1], specular)
+    return diffuse, specular
 
 
 @inline

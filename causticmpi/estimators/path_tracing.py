@@ -48,8 +48,11 @@ def trace_paths(scene, camera, work, queues, splits, pixels, seed, pass_index, f
                 most = diffuse_stages.most_rays(work)
                 for j in range(most):
                     traced += diffuse_stages.bounce(scene, work, j, glossy)
+                    diffuse_stages.name_found(scene, work, j, glossy)
+                    if most > 1:
+                        diffuse_stages.put_aside(work, j)
                 next_diffuse, next_specular = diffuse_stages.queue_bounces(
-                    scene, work, then, most, glossy, next_diffuse, next_specular
+                    work, then, most, next_diffuse, next_specular
                 )
             for block in range((specular + LANES - 1) // LANES):
                 used = min(LANES, specular - block * LANES)

@@ -165,8 +165,8 @@ def choose_lights(scene, work):
             for i in range(LANES):
                 past = end <= work[at.LIGHT_U + i]
                 words[at.CHOSEN + i] += np.int32(past)
-                work[before + i] = end if past else work[before + i]
-                work[after + i] = work[after + i] if past else min(work[after + i], end)
+                work[before + i] = max(work[before + i], end if past else ZERO)
+                work[after + i] = min(work[after + i], ONE if past else end)
     else:
         for i in range(LANES):
             light = warp.pick(cdf, work[at.LIGHT_U + i])
