@@ -14,6 +14,7 @@ from causticmpi.kernels.path_layout import get3, put3
 from causticmpi.kernels.path_stages import (
     BRANCH,
     choose_lights,
+    name_keys,
     play_roulette,
     queue_found,
     survival_of,
@@ -206,8 +207,9 @@ def name_found(scene, work, j, glossy):
 
     All rays follow light to specular surfaces, at equal shares; other surfaces are for the first ray alone.
     """
-    words, keys = work.view(np.int32), work.view(np.uint64)
+    words = work.view(np.int32)
     tell_kinds(scene, work, RAY16)
+    name_keys(work, BRANCH + j)
     for i in range(LANES):
         kind, depth, pixel = words[_FOUND + i], words[at.DEPTH + i], words[at.PIXEL + i]
         mirrors = is_specular(kind)
@@ -217,7 +219,6 @@ def name_found(scene, work, j, glossy):
         put3(work, RAY16 + 16 * at.FOUND_THROUGHPUT, i, vec.scale(throughput, share))
         cosine = vec.dot(get3(work, at.NORMAL, i), get3(work, RAY16 + 64, i))
         work[RAY16 + 16 * at.FOUND_DOUBT + i] = PI / cosine
-        keys[(RAY16 + 16 * at.FOUND_KEY) // 2 + i] = rng.subkey(keys[at.KEY // 2 + i], BRANCH + j)
         words[RAY16 + 16 * at.FOUND_PIXEL + i] = pixel | np.int32(mirrors & (depth == 0))
         words[RAY16 + 16 * at.FOUND_DEPTH + i] = depth + np.int32(1)
         words[RAY16 + 16 * at.FOUND_CHAIN + i] = 0

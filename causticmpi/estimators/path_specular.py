@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from causticmpi.kernels import bsdf, rng, vec
+from causticmpi.kernels import bsdf, vec
 from causticmpi.kernels import path_layout as at
 from causticmpi.kernels.embree import LANES, RAY16
 from causticmpi.kernels.jit import inline
 from causticmpi.kernels.material_kinds import MIRROR
 from causticmpi.kernels.path_layout import get3, put3
-from causticmpi.kernels.path_stages import BRANCH, play_roulette, queue_found, tell_kinds
+from causticmpi.kernels.path_stages import BRANCH, name_keys, play_roulette, queue_found, tell_kinds
 from causticmpi.kernels.vec import ONE, ZERO
 
 
@@ -29,8 +29,9 @@ def meet_specular(scene, work, used):
 @inline
 def queue_packet(scene, work, queues, diffuse, specular):
     """Let what the rays of specular vertices have found wait. Returns how many vertices wait in either queue."""
-    words, keys = work.view(np.int32), work.view(np.uint64)
+    words = work.view(np.int32)
     tell_kinds(scene, work, RAY16)
+    name_keys(work, BRANCH)
     for i in range(LANES):
         # Radiance that refracts scales by eta^2 [Veach 1997, sec. 5.2].
         throughput = vec.scale(get3(work, at.THROUGHPUT, i), work[at.ETA2 + i])
@@ -38,7 +39,6 @@ def queue_packet(scene, work, queues, diffuse, specular):
         words[_FOUND + i] = words[_FOUND + i] if goes_on else np.int32(-1)
         put3(work, RAY16 + 16 * at.FOUND_THROUGHPUT, i, throughput)
         work[RAY16 + 16 * at.FOUND_DOUBT + i] = ZERO
-        keys[(RAY16 + 16 * at.FOUND_KEY) // 2 + i] = rng.subkey(keys[at.KEY // 2 + i], BRANCH)
         words[RAY16 + 16 * at.FOUND_PIXEL + i] = words[at.PIXEL + i]
         words[RAY16 + 16 * at.FOUND_DEPTH + i] = words[at.DEPTH + i]
         words[RAY16 + 16 * at.FOUND_CHAIN + i] = words[at.CHAIN + i] + np.int32(1)

@@ -81,9 +81,10 @@ def see_group(scene, camera, work, queues, pixels, seed, pass_index, film):
         stages.tell_kinds(scene, work, RAY16)
         for i in range(LANES):
             key = rng.make_key(seed, rng.CAMERA, pass_index, pixels[first + i, 2])
+            keys[(RAY16 + 16 * at.FOUND_KEY) // 2 + i] = rng.subkey(key, 0)
+        for i in range(LANES):
             put3(work, RAY16 + 16 * at.FOUND_THROUGHPUT, i, WHITE)
             work[RAY16 + 16 * at.FOUND_DOUBT + i] = ZERO
-            keys[(RAY16 + 16 * at.FOUND_KEY) // 2 + i] = rng.subkey(key, 0)
             words[RAY16 + 16 * at.FOUND_PIXEL + i] = pixels[first + i, 3] << 1
             words[RAY16 + 16 * at.FOUND_DEPTH + i] = 0
             words[RAY16 + 16 * at.FOUND_CHAIN + i] = 0

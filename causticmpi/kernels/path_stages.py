@@ -111,6 +111,15 @@ def tell_kinds(scene, work, packet):
 
 
 @inline
+def name_keys(work, branch):
+    """Keys of what the lanes' rays have found. (A loop of its own: one that goes through rows of both 32 and 64 bits
+    becomes vectors only if they are few.)"""
+    keys = work.view(np.uint64)
+    for i in range(LANES):
+        keys[(RAY16 + 16 * at.FOUND_KEY) // 2 + i] = rng.subkey(keys[at.KEY // 2 + i], branch)
+
+
+@inline
 def survival_of(throughput, depth):
     """With what probability roulette lets a path go on from its non-specular vertex number `depth`."""
     survival = min(vec.max3(throughput) / WORTH, bsdf.SURVIVAL if depth >= SURE_DEPTH else ONE)
@@ -123,12 +132,13 @@ def play_roulette(work, packet):
     lights wait all the same, to be seen."""
     words, keys = work.view(np.int32), work.view(np.uint64)
     for i in range(LANES):
+        _, work[at.SURVIVE + i] = rng.uniform2(keys[(packet + 16 * at.FOUND_KEY) // 2 + i], CHOICE)
+    for i in range(LANES):
         kind, depth = words[packet + 16 * at.FOUND + i], words[packet + 16 * at.FOUND_DEPTH + i]
         throughput = get3(work, packet + 16 * at.FOUND_THROUGHPUT, i)
         exempt = is_specular(kind) | (words[packet + 16 * at.FOUND_LIGHT + i] != 0)
         survival = ONE if exempt else survival_of(throughput, depth)
-        _, survive = rng.uniform2(keys[(packet + 16 * at.FOUND_KEY) // 2 + i], CHOICE)
-        words[packet + 16 * at.FOUND + i] = kind if survive < survival else np.int32(-1)
+        words[packet + 16 * at.FOUND + i] = kind if work[at.SURVIVE + i] < survival else np.int32(-1)
         put3(work, packet + 16 * at.FOUND_THROUGHPUT, i, vec.scale(throughput, ONE / survival))
 
 
