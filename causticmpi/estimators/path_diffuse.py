@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from causticmpi.kernels import bsdf, lanes, rng, vec, warp
+from causticmpi.kernels import bsdf, lanes, vec, warp
 from causticmpi.kernels import path_layout as at
 from causticmpi.kernels.embree import LANES, RAY16, TFAR, VALID, rtc_occluded16
 from causticmpi.kernels.eye_path import emitted, facing

@@ -107,6 +107,17 @@ def _copy_words(builder: Any, row: Any, to: Any) -> None:
     _store(builder, _load(builder, row, _vector(_WORD)), to)
 
 
+def _add_products(builder: Any, to: Any, row: Any, factor: Any) -> None:
+    kind = _vector(_WORD)
+    a, b = _load(builder, to, kind), _load(builder, row, kind)
+    one = builder.insert_element(ir.Constant(kind, ir.Undefined), builder.trunc(factor, _WORD), _WORD(0))
+    factors = builder.shuffle_vector(one, one, ir.Constant(kind, [0] * _COUNT))
+    none = ir.Constant(kind, [-1] * _COUNT)
+    found = builder.add(a, builder.mul(b, factors))
+    _store(builder, builder.select(builder.icmp_signed("==", b, none), none, found), to)
+
+
+_add_product: Any = _intrinsic(numba.types.void, _add_products, 3)
 _copy: Any = _intrinsic(numba.types.void, _copy_words, 2)
 _marked: Any = _intrinsic(numba.types.intp, _marked_lanes, 1)
 _count_bits: Any = _intrinsic(numba.types.intp, lambda builder, mask: builder.ctpop(mask), 1)
@@ -139,6 +150,12 @@ def first(mask):
 def copy(source, word, target, to):
     """16 words of one array to another, at once."""
     _copy(source.ctypes.data + 4 * word, target.ctypes.data + 4 * to)
+
+
+@inline
+def add_product(work, row, by, factor):
+    """Add to a row of int32 `factor` times another, `by`; where `by` is -1 it becomes -1."""
+    _add_product(work.ctypes.data + 4 * row, work.ctypes.data + 4 * by, factor)
 
 
 @inline

@@ -79,11 +79,7 @@ def trace_packet(scene, work, packet):
 @inline
 def number_hits(scene, work, packet):
     """Turn Embree's word on what a packet has hit into the number of the primitive, -1 for none."""
-    words = work.view(np.int32)
-    for i in range(LANES):
-        missed = words[packet + 16 * GEOM + i] == -1
-        primitive = words[packet + 16 * PRIM + i] + words[packet + 16 * GEOM + i] * np.int32(scene.triangle_count)
-        words[packet + 16 * PRIM + i] = np.int32(-1) if missed else primitive
+    lanes.add_product(work, packet + 16 * PRIM, packet + 16 * GEOM, scene.triangle_count)
 
 
 @inline
@@ -112,11 +108,13 @@ def tell_kinds(scene, work, packet):
 
 @inline
 def name_keys(work, branch):
-    """Keys of what the lanes' rays have found. (A loop of its own: one that goes through rows of both 32 and 64 bits
-    becomes vectors only if they are few.)"""
+    """Keys of what the lanes' rays have found, and the random numbers of its roulette: SURVIVE. (A loop of its own: one
+    through rows of both 32 and 64 bits becomes vectors only if they are few.)"""
     keys = work.view(np.uint64)
     for i in range(LANES):
-        keys[(RAY16 + 16 * at.FOUND_KEY) // 2 + i] = rng.subkey(keys[at.KEY // 2 + i], branch)
+        key = rng.subkey(keys[at.KEY // 2 + i], branch)
+        keys[(RAY16 + 16 * at.FOUND_KEY) // 2 + i] = key
+        _, work[at.SURVIVE + i] = rng.uniform2(key, CHOICE)
 
 
 @inline
@@ -128,11 +126,9 @@ def survival_of(throughput, depth):
 
 @inline
 def play_roulette(work, packet):
-    """Roulette at non-specular vertices that a packet has found. Those that die never wait, so that packets stay full;
+    """Roulette at non-specular vertices that a packet has found, by SURVIVE. Those that die never wait, so that packets stay full;
     lights wait all the same, to be seen."""
-    words, keys = work.view(np.int32), work.view(np.uint64)
-    for i in range(LANES):
-        _, work[at.SURVIVE + i] = rng.uniform2(keys[(packet + 16 * at.FOUND_KEY) // 2 + i], CHOICE)
+    words = work.view(np.int32)
     for i in range(LANES):
         kind, depth = words[packet + 16 * at.FOUND + i], words[packet + 16 * at.FOUND_DEPTH + i]
         throughput = get3(work, packet + 16 * at.FOUND_THROUGHPUT, i)
