@@ -108,8 +108,10 @@ def tell_kinds(scene, work, packet):
 
 @inline
 def name_keys(work, branch):
-    """Keys of what the lanes' rays have found, and the random numbers of its roulette: SURVIVE. (A loop of its own: one
-    through rows of both 32 and 64 bits becomes vectors only if they are few.)"""
+    """Keys of what the lanes' rays have found, and the random numbers of its roulette: SURVIVE.
+
+    A loop of its own: one through rows of both 32 and 64 bits becomes vectors only if they are few.
+    """
     keys = work.view(np.uint64)
     for i in range(LANES):
         key = rng.subkey(keys[at.KEY // 2 + i], branch)
@@ -126,8 +128,10 @@ def survival_of(throughput, depth):
 
 @inline
 def play_roulette(work, packet):
-    """Roulette at non-specular vertices that a packet has found, by SURVIVE. Those that die never wait, so that packets stay full;
-    lights wait all the same, to be seen."""
+    """Roulette at non-specular vertices that a packet has found, by SURVIVE.
+
+    Those that die never wait, so that packets stay full; lights wait all the same, to be seen.
+    """
     words = work.view(np.int32)
     for i in range(LANES):
         kind, depth = words[packet + 16 * at.FOUND + i], words[packet + 16 * at.FOUND_DEPTH + i]
