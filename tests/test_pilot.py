@@ -21,16 +21,25 @@ SLOTS, BLOCKS = 64, (4, 4)
 
 
 def trial(
-    eye: float, light: float, eye_rays: float, light_rays: float, caustic: np.ndarray | None = None
+    eye: float,
+    light: float,
+    eye_rays: float,
+    light_rays: float,
+    caustic: np.ndarray | None = None,
+    lamps: float = 0.0,
+    lamp_rays: float = 1.0,
 ) -> pilot.Trial:
     """Of given variance per pass, mean 1; caustic: (2, 4, 4) mean and standard deviation of L_c in each block."""
     n = pilot.PASSES
-    total = np.full((SLOTS, 3), float(n))
     none = np.zeros((SLOTS, 3))
+
+    def part(mean: float, variance: float, rays: float) -> pilot.Part:
+        return pilot.Part(none + n * mean, none + n * mean**2 + variance * (n - 1), rays)
+
     mean, deviation = np.stack([np.full(BLOCKS, 1.0), np.full(BLOCKS, 0.01)]) if caustic is None else caustic
     return pilot.Trial(
-        total, n + eye * (n - 1) + none, none, light * (n - 1) + none,
-        n * mean, n * (mean**2 + deviation**2), eye_rays, light_rays,
+        part(1.0, eye, eye_rays), part(0.0, light, light_rays), part(0.0, lamps, lamp_rays),
+        n * mean, n * (mean**2 + deviation**2),
     )  # fmt: skip
 
 
@@ -40,13 +49,20 @@ def test_light_paths_where_error_times_cost_is_least() -> None:
     assert not plan.plain and plan.paths_per_pixel == pytest.approx(0.5 * 4.0)
 
     def score(more: float) -> float:
-        return (1.0 + 4.0 / more) * (20.0 + 5.0 * more) / (1 + RELMSE_FLOOR)
+        return (1.0 + 4.0 / more) * (20.0 + 5.0 * more + 1.0) / (1 + RELMSE_FLOOR)
 
     assert plan.forecast_score == pytest.approx(score(4.0))
     assert score(4.0) < min(score(3.0), score(5.0))
     hopeless = trial(1e12, 0.0, 20.0, 0.0)
     assert pilot.choose(trial(1.0, 1e9, 20.0, 5.0), hopeless, 0.5, RELMSE_FLOOR).paths_per_pixel == pilot.MOST_PATHS
     assert pilot.choose(trial(1.0, 0.0, 20.0, 0.0), plain, 0.0, RELMSE_FLOOR).paths_per_pixel == 0
+
+
+def test_looks_for_lamps_where_error_times_cost_is_least() -> None:
+    plain = trial(1e12, 0.0, 20.0, 0.0)
+    for variance, side in ((1.0, 3), (1e-3, 1), (1e6, pilot.MOST_SIDE), (0.0, pilot.SIGHT_SIDE)):
+        plan = pilot.choose(trial(1.0, 4.0, 20.0, 5.0, None, variance, 4.0), plain, 0.5, RELMSE_FLOOR)
+        assert plan.sight_side == side and plan.paths_per_pixel == pytest.approx(0.5 * 4.0)
 
 
 def test_plain_sampling_is_chosen_where_it_pays_and_sees() -> None:

@@ -20,6 +20,7 @@ from causticmpi.output.checkpoint import Checkpoint, find_checkpoint
 from causticmpi.output.directory import EXR, PNG, REPORT
 from causticmpi.preprocess.forecast import ForecastMaps
 from causticmpi.preprocess.guides import Guides
+from causticmpi.preprocess.lamp_sight import LampSight
 
 NOT_SAMPLES = ("scene", "camera", "budget", "output")
 """Sections of a config that no sample depends on, or that the scene's hash covers."""
@@ -86,10 +87,10 @@ def _flat(value: Any, key: str) -> Iterator[tuple[str, Any]]:
         yield key, value
 
 
-def maps_hash(maps: ForecastMaps, guides: Guides) -> str:
-    """sha256 (hex) of all arrays and numbers of the maps and guides."""
+def maps_hash(maps: ForecastMaps, guides: Guides, sight: LampSight) -> str:
+    """sha256 (hex) of all arrays and numbers of the maps, the guides and of where lamps are seen."""
     digest = hashlib.sha256()
-    learned = (*guides.virtual_lights, *guides.light_tracing, guides.paths_per_pixel)
+    learned = (*guides.virtual_lights, *guides.light_tracing, guides.paths_per_pixel, *sight)
     for name, value in (*maps._asdict().items(), *enumerate(learned)):
         array = np.ascontiguousarray(value)
         digest.update(f"{name} {array.dtype.str} {array.shape}\n".encode())

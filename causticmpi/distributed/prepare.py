@@ -14,11 +14,12 @@ from causticmpi.output.picture import RELMSE_FLOOR
 from causticmpi.preprocess.aim import emission_aim
 from causticmpi.preprocess.forecast import ClusterStatistics, ForecastMaps, build_forecast, no_forecast
 from causticmpi.preprocess.guides import Guides, learn_guides, no_guides
+from causticmpi.preprocess.lamp_sight import LampSight, lamp_sight, seen_everywhere
 from causticmpi.preprocess.photon_map import PhotonMap, build_photon_map, no_photon_map
 from causticmpi.preprocess.photons import CausticPoints, shoot_photons
 from causticmpi.render.foresight import of_photon_map, of_photons
 from causticmpi.render.methods import FORECASTING, Method, bound_of, make_method
-from causticmpi.render.pilot import Plan, needs_pilot, run_pilot
+from causticmpi.render.pilot import SIGHT_SIDE, Plan, needs_pilot, run_pilot
 from causticmpi.scene.content import extent, has_specular
 from causticmpi.scene.data import SceneData
 from causticmpi.scene.tracing import primitive_arrays, traced_scene
@@ -64,6 +65,7 @@ class Forecasting:
     rays: int = 0
     warnings: tuple[str, ...] = ()
     guides: Guides = field(default_factory=no_guides)
+    sight: LampSight = field(default_factory=seen_everywhere)
     plan: Plan | None = None
 
 
@@ -78,12 +80,14 @@ def prepare_method(
     """Collective. The whole preprocess, and the method on every rank. camera: see kernels.camera."""
     made = prepare_forecast(world, config, scene, watch)
     made.guides = _prepare_guides(world, config, scene, camera, watch)
+    made.sight = _prepare_sight(world, config, scene, camera)
     if needs_pilot(config, made.maps):
         made.plan = _prepare_plan(world, config, scene, made, watch)
         made.guides = made.guides._replace(paths_per_pixel=made.plan.paths_per_pixel)
+        made.sight = made.sight._replace(side=made.plan.sight_side)
         if made.plan.plain:
             made.maps = no_forecast()
-    return make_method(config, scene.traced, camera, made.maps, scene.extent, made.guides), made
+    return make_method(config, scene.traced, camera, made.maps, scene.extent, made.guides, made.sight), made
 
 
 def _prepare_guides(
@@ -96,6 +100,17 @@ def _prepare_guides(
         with watch.stage("guides"):
             guides = learn_guides(scene.traced, camera, film.width, film.height, config.seed, bound)
     return world.broadcast(guides)
+
+
+def _prepare_sight(world: World, config: RenderConfig, scene: PreparedScene, camera: np.ndarray) -> LampSight:
+    """Rank 0 finds the pixels that may show a lamp; path tracing has no use for it."""
+    if config.method in ("pt", "pt-brute"):
+        return seen_everywhere()
+    film = config.film
+    mask = None
+    if world.is_root:
+        mask = {"mask": lamp_sight(scene.data, camera, film.width, film.height, SIGHT_SIDE).mask}
+    return LampSight(world.share(mask)["mask"], SIGHT_SIDE)
 
 
 def _prepare_plan(

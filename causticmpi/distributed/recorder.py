@@ -63,7 +63,7 @@ class Recorder:
             print(f"causticmpi: warning: {warning}", file=sys.stderr)
         if made.plan is not None:
             self.progress.stage(f"caustics {made.plan.words}")
-        self.maps_hash = maps_hash(made.maps, made.guides)
+        self.maps_hash = maps_hash(made.maps, made.guides, made.sight)
         if self.before is not None and self.before.maps != self.maps_hash:
             print(
                 "causticmpi: warning: this machine makes other forecast maps of the same seed: the picture stays "

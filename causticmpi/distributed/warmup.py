@@ -15,6 +15,7 @@ from causticmpi.estimators import (
     iws_cf,
     iws_mixture,
     iws_pm,
+    lamps_in_sight,
     light_tracing,
     path_tracing,
     virtual_lights,
@@ -29,6 +30,7 @@ from causticmpi.preprocess import (
     directions,
     forecast,
     k_means,
+    lamp_sight,
     photon_map,
     photons,
     vector_quantization,
@@ -52,6 +54,7 @@ KERNELS = [
     iws_cf.trace_iws_cf,
     iws_mixture.trace_iws_mixture,
     iws_pm.trace_iws_pm,
+    lamps_in_sight.see_lamps,
     photons._shoot,
     guides_room._see_views,
     guides_room._shoot,
@@ -62,6 +65,7 @@ KERNELS = [
     vector_quantization._compete,
     vector_quantization.assign,
     k_means._move_to_means,
+    lamp_sight._mark,
     forecast._overlaps,
     photon_map._neighbour_distances,
     directions._companion_cosines,
@@ -129,6 +133,7 @@ def warm_up(config: RenderConfig, root: bool, forecasting: bool) -> bool:
     mapping = config.method == "iws+pm"
     if root and config.method not in ("pt", "pt-brute"):
         learn_guides(scene.traced, camera, 4, 4, 0, 1.0)
+        lamp_sight.lamp_sight(scene.data, camera, 4, 4, 1)
     if root and (forecasting or mapping):
         shoot_photons(scene.traced, 0, 1)
         points = CausticPoints(*(np.ones((4, 3), np.float32) for _ in range(4)))

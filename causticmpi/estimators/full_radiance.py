@@ -140,10 +140,7 @@ def see_tile(scene, camera, work, pixels, first, seed, pass_index, splats):
             continue
         direction, throughput = lane_direction(packet, i), vec.row(hits.throughput, i)
         p, n, offset = hit_point(scene, primitive, lane_origin(packet, i), direction, hits.distance[i])
-        light = vec.mul(throughput, emitted(scene, primitive, n, direction))
         material = np.int64(scene.material[primitive])
-        for c in range(3):
-            work.light[i, c] = light[c]
         if vec.max3(bsdf.albedo(scene, material)) <= ZERO:
             continue
         n = facing(n, direction)

@@ -8,7 +8,7 @@ import numpy as np
 
 from causticmpi.kernels.jit import inline
 
-CAMERA, PARTICLE, PHOTON, TRAINING, SHIFT, LIGHT_PATH, GUIDE = (np.uint64(i) for i in range(7))
+CAMERA, PARTICLE, PHOTON, TRAINING, SHIFT, LIGHT_PATH, GUIDE, SIGHT = (np.uint64(i) for i in range(8))
 """Purposes: one for each independent use of randomness."""
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)

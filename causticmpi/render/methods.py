@@ -17,6 +17,7 @@ from causticmpi.estimators.full_radiance import pass_work
 from causticmpi.estimators.iws_cf import trace_iws_cf
 from causticmpi.estimators.iws_mixture import trace_iws_mixture
 from causticmpi.estimators.iws_pm import trace_iws_pm
+from causticmpi.estimators.lamps_in_sight import see_lamps, sight_work
 from causticmpi.estimators.light_tracing import trace_light_paths
 from causticmpi.estimators.path_tracing import trace_paths
 from causticmpi.estimators.virtual_lights import empty_virtual_lights, trace_virtual_lights
@@ -27,6 +28,7 @@ from causticmpi.kernels.path_layout import FIRST_SPLIT, SECOND_SPLIT, path_work
 from causticmpi.kernels.traced_scene import TracedScene
 from causticmpi.preprocess.forecast import ForecastMaps
 from causticmpi.preprocess.guides import Guides, no_guides
+from causticmpi.preprocess.lamp_sight import LampSight, seen_everywhere
 from causticmpi.preprocess.photon_map import PhotonMap
 
 FORECASTING = ("iws+cf",)
@@ -105,9 +107,10 @@ class BruteForce(EyePaths):
 
 @dataclass(kw_only=True)
 class VirtualLighting(EyePaths):
-    """What the methods of weak singularities share: virtual lights renewed every pass."""
+    """What the methods of weak singularities share: virtual lights renewed every pass, lamps seen on their own."""
 
     guides: Guides
+    sight: LampSight
     paths: int
     few: int
     bound: float
@@ -116,6 +119,7 @@ class VirtualLighting(EyePaths):
 
     def __post_init__(self) -> None:
         self.rays = ray_buffer()
+        self.sight_work = sight_work(self.sight.side)
         self.peak = most_peak(self.scene)
         self.lights = empty_virtual_lights(8 * self.paths)
 
@@ -129,6 +133,19 @@ class VirtualLighting(EyePaths):
                 self.light_count = count
                 return rays
             self.lights = empty_virtual_lights(2 * count)
+
+    def trace(self, pixels: np.ndarray, film: np.ndarray) -> int:
+        return self.trace_vertices(pixels, film) + self.see_lamps(pixels, film)
+
+    def see_lamps(self, pixels: np.ndarray, film: np.ndarray) -> int:
+        """Add the lamps themselves to L_d, alone of all; returns rays traced."""
+        eye = (self.scene, self.camera, self.sight_work, self.sight.mask, self.sight.side)
+        rays: int = see_lamps(*eye, pixels, self.seed, self.pass_index, film)
+        return rays
+
+    def trace_vertices(self, pixels: np.ndarray, film: np.ndarray) -> int:
+        """Add what comes from the first non-specular vertices, all but the lamps; returns rays traced."""
+        raise NotImplementedError
 
 
 @dataclass(kw_only=True)
@@ -151,7 +168,7 @@ class WeakSingularities(VirtualLighting):
         forecast = mixture_work(self.maps) if self.mixture else forecast_work(self.maps, tables)
         self.work = pass_work(forecast, 2 + 2 * self.maps.splitting)
 
-    def trace(self, pixels: np.ndarray, film: np.ndarray) -> int:
+    def trace_vertices(self, pixels: np.ndarray, film: np.ndarray) -> int:
         eye = (self.scene, self.camera, self.work, pixels, self.seed, self.pass_index)
         light = (self.lights, self.light_count, self.maps, self.few, self.bound)
         if self.mixture:
@@ -190,7 +207,7 @@ class PhotonMapping(VirtualLighting):
         super().__post_init__()
         self.work = pass_work(density_work(self.photons), 1)
 
-    def trace(self, pixels: np.ndarray, film: np.ndarray) -> int:
+    def trace_vertices(self, pixels: np.ndarray, film: np.ndarray) -> int:
         eye = (self.scene, self.camera, self.work, pixels, self.seed, self.pass_index)
         light = (self.lights, self.light_count, self.photons, self.few, self.bound)
         return none_lost(*trace_iws_pm(*eye, *light, self.peak, film))
@@ -210,9 +227,11 @@ def make_method(
     maps: ForecastMaps | PhotonMap,
     extent: float,
     guides: Guides | None = None,
+    sight: LampSight | None = None,
 ) -> Method:
     """The configured method. maps: a photon map for `iws+pm`; extent: diagonal of the scene [scene units], for the
-    automatic bound; guides: natural emission, and no light tracing, if there are none."""
+    automatic bound; guides: natural emission, and no light tracing, if there are none; sight: one look for lamps in
+    every pixel if there is none."""
     common: dict[str, Any] = {"scene": scene, "camera": camera, "seed": config.seed}
     if config.method == "pt":
         return PathTracing(**common)
@@ -221,6 +240,7 @@ def make_method(
     guides = guides or no_guides()
     common |= {
         "guides": guides,
+        "sight": sight or seen_everywhere(),
         "paths": config.iws.paths,
         "few": config.iws.deep_lights,
         "bound": bound_of(config, extent),

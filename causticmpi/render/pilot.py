@@ -1,8 +1,8 @@
 """Does the forecast pay here? A few passes of a small picture tell, before the first pass of the large one.
 
-It decides how many light paths there are for each pixel, and whether to sample caustics by the forecast or plainly by
-the BRDF. Either is unbiased, and no sample of the pilot enters the picture, so the choice costs and saves time alone.
-Costs are counted in rays, never by the clock: any machine makes the same choice.
+It decides how many light paths there are for each pixel, how often the eye looks for lamps, and whether to sample
+caustics by the forecast or plainly by the BRDF. Either is unbiased, and no sample of the pilot enters the picture, so
+the choice costs and saves time alone. Costs are counted in rays, never by the clock: any machine makes the same choice.
 
 A way that never met a small light has no variance to show. Plain sampling is therefore believed only where it sees what
 the forecast sees, in every block of the picture.
@@ -19,7 +19,8 @@ from causticmpi.kernels.pixels import pixel_order
 from causticmpi.kernels.traced_scene import TracedScene
 from causticmpi.preprocess.forecast import ForecastMaps, no_forecast
 from causticmpi.preprocess.guides import Guides
-from causticmpi.render.methods import FORECASTING, Method, make_method
+from causticmpi.preprocess.lamp_sight import lamp_sight
+from causticmpi.render.methods import FORECASTING, Method, VirtualLighting, make_method
 from causticmpi.scene.data import SceneData
 from causticmpi.scene.tracing import camera_array
 
@@ -28,9 +29,9 @@ PIXELS = 8192
 PASSES = 16
 FIRST_PASS = 2**40
 """No picture gets as far: the passes of a pilot are others than those of the run."""
-FORECAST_RAY, LIGHT_RAY = 1.4, 2.6
-"""CPU time of a ray with its share of the forecast, and of one of light tracing with its splats, over that of a ray
-sampled plainly: 1.1 to 1.7 and 1.3 to 3 on cornell, ring, pool and figurines."""
+FORECAST_RAY, LIGHT_RAY, SIGHT_RAY = 1.4, 2.6, 1.5
+"""CPU time of a ray with its share of the forecast, of one of light tracing with its splats, and of one that looks for
+lamps, over that of a ray sampled plainly: 1.1 to 1.7, 1.3 to 3 and X to Y on cornell, ring, pool and figurines."""
 GAIN = 0.8
 """Plain sampling must promise no more than this part of the forecast's error times cost: its estimate is the one that
 tends to be too low."""
@@ -42,15 +43,19 @@ KNOWN = 0.1
 """Relative standard error up to which the caustics of the whole picture count as seen."""
 FEWEST_PATHS, MOST_PATHS = 1 / 16, 16.0
 """Light paths for every pixel and pass."""
+SIGHT_SIDE, MOST_SIDE = 2, 6
+"""Side of the grid of looks for lamps in a pixel, without a pilot; at most with one."""
 
 
 @dataclass(frozen=True)
 class Plan:
     """What the pilot chose. plain: sample by the BRDF, leave the maps aside; paths_per_pixel: light paths of a pass for
-    every pixel; forecast_score, plain_score: mean squared relative error of a pass times its rays per pixel."""
+    every pixel; sight_side: of the grid of looks for lamps; forecast_score, plain_score: mean squared relative error
+    of a pass times its rays per pixel."""
 
     plain: bool
     paths_per_pixel: float
+    sight_side: int
     forecast_score: float
     plain_score: float
 
@@ -64,22 +69,34 @@ class Plan:
 
 
 @dataclass(frozen=True)
-class Trial:
-    """Sums over the passes of one way. eye, light: sums (slots, 3) and sums of squares of what eye paths and splats
-    add; caustic, caustic_squares (blocks,): of L_c; eye_rays, light_rays: per pass, weighted."""
+class Part:
+    """One part of the light of a pass. total, squares (slots, 3): sums over passes; rays: of a pass for a pixel,
+    weighted by their cost."""
 
-    eye: np.ndarray
-    eye_squares: np.ndarray
-    light: np.ndarray
-    light_squares: np.ndarray
+    total: np.ndarray
+    squares: np.ndarray
+    rays: float
+
+    def error(self, weight: np.ndarray) -> float:
+        """Mean relative squared error of one pass; weight (slots, 3): one over the squared level."""
+        variance = np.maximum(self.squares - self.total * self.total / PASSES, 0) / (PASSES - 1)
+        return float((variance * weight).mean())
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What the passes of one way gave: by vertices that eye paths find, by splats of light paths, by lamps in sight;
+    caustic, caustic_squares (blocks,): sums of L_c."""
+
+    eye: Part
+    light: Part
+    lamps: Part
     caustic: np.ndarray
     caustic_squares: np.ndarray
-    eye_rays: float
-    light_rays: float
 
     @property
     def mean(self) -> np.ndarray:
-        return (self.eye + self.light) / PASSES
+        return (self.eye.total + self.light.total + self.lamps.total) / PASSES
 
 
 def needs_pilot(config: RenderConfig, maps: ForecastMaps) -> bool:
@@ -106,8 +123,10 @@ def run_pilot(
     small = msgspec.structs.replace(config, film=small_film(config.film))
     camera = camera_array(data.camera, small.film.width, small.film.height)
 
+    sight = lamp_sight(data, camera, small.film.width, small.film.height, SIGHT_SIDE)
+
     def try_way(maps: ForecastMaps, guides: Guides, ray: float) -> Trial:
-        return _try(make_method(small, scene, camera, maps, extent, guides), small.film, ray)
+        return _try(make_method(small, scene, camera, maps, extent, guides, sight), small.film, ray)
 
     if not config.forecast.light_tracing:
         guides = guides._replace(paths_per_pixel=0.0)
@@ -126,17 +145,31 @@ def choose(forecast: Trial, plain: Trial, paths_per_pixel: float, floor: float) 
     floor: of the relative squared error [radiance^2]."""
     level = (forecast.mean + plain.mean) / 2
     weight = 1 / (level * level + floor)
-    eye = _error(forecast.eye, forecast.eye_squares, weight)
-    light = _error(forecast.light, forecast.light_squares, weight)
-    more = 1.0
-    if light > 0 and eye > 0:
-        # Least (eye + light / more) (eye rays + light rays more).
-        more = math.sqrt(light * forecast.eye_rays / (eye * forecast.light_rays))
-        more = min(max(more * paths_per_pixel, FEWEST_PATHS), MOST_PATHS) / paths_per_pixel
-    score = (eye + light / more) * (forecast.eye_rays + forecast.light_rays * more)
-    plain_score = _error(plain.eye, plain.eye_squares, weight) * plain.eye_rays
+    score, paths, looks = _best(forecast, paths_per_pixel, weight)
+    plain_score, _, plain_looks = _best(plain, 0.0, weight)
     pays = plain_score > GAIN * score or not sees(plain, forecast)
-    return Plan(not pays, more * paths_per_pixel if pays else 0.0, score, plain_score)
+    side = round(math.sqrt(looks if pays else plain_looks))
+    return Plan(not pays, paths if pays else 0.0, side, score, plain_score)
+
+
+def _best(trial: Trial, paths_per_pixel: float, weight: np.ndarray) -> tuple[float, float, float]:
+    """Least error times cost, the light paths for every pixel and the looks for lamps that give it."""
+    eye = trial.eye.error(weight)
+    error, rays = eye, trial.eye.rays
+    numbers = []
+    for part, tried, least, most in (
+        (trial.light, paths_per_pixel, FEWEST_PATHS, MOST_PATHS),
+        (trial.lamps, float(SIGHT_SIDE**2), 1.0, float(MOST_SIDE**2)),
+    ):
+        own, more = part.error(weight), 1.0
+        if own > 0 and eye > 0:
+            # Least (eye + own / more) (eye rays + own rays more); so for each part, whatever the other does.
+            more = math.sqrt(own * trial.eye.rays / (eye * part.rays))
+            more = min(max(more * tried, least), most) / tried
+        error += own / more
+        rays += part.rays * more
+        numbers.append(tried * more)
+    return error * rays, numbers[0], numbers[1]
 
 
 def sees(plain: Trial, other: Trial) -> bool:
@@ -153,34 +186,30 @@ def _mean_and_error(total: np.ndarray, squares: np.ndarray) -> tuple[np.ndarray,
     return mean, np.sqrt(np.maximum(squares / PASSES - mean * mean, 0) / (PASSES - 1))
 
 
-def _error(total: np.ndarray, squares: np.ndarray, weight: np.ndarray) -> float:
-    """Mean relative squared error of one pass."""
-    variance = np.maximum(squares - total * total / PASSES, 0) / (PASSES - 1)
-    return float((variance * weight).mean())
-
-
 def _try(method: Method, film: Film, ray: float) -> Trial:
+    assert isinstance(method, VirtualLighting)
     width, height = film.width, film.height
     pixels = pixel_order((0, 0, width, height), width)
     blocks = [np.arange(0, side, BLOCK) for side in (height, width)]
-    samples = np.zeros((width * height, 6), np.float32)
+    samples, lamps = np.zeros((2, width * height, 6), np.float32)
     splats = np.zeros((width * height, 3), np.float32)
-    sums = [np.zeros((width * height, 3)) for _ in range(4)]
+    sums = np.zeros((3, 2, width * height, 3))
     caustics = np.zeros((2, len(blocks[0]), len(blocks[1])))
-    eye_rays = light_rays = 0
+    rays = np.zeros(3)
     for index in range(FIRST_PASS, FIRST_PASS + PASSES):
-        samples[:] = splats[:] = 0
+        samples[:] = lamps[:] = splats[:] = 0
         method.begin_pass(index)  # its rays are the same for a picture of any size
-        eye_rays += method.trace(pixels, samples)
+        rays[0] += method.trace_vertices(pixels, samples)
         if method.light_paths:
-            light_rays += method.trace_light(index, 0, method.light_paths, splats)
-        eye, light = samples[:, :3].astype(np.float64) + samples[:, 3:], splats.astype(np.float64)
-        for total, value in zip(sums, (eye, eye * eye, light, light * light), strict=True):
-            total += value
+            rays[1] += method.trace_light(index, 0, method.light_paths, splats)
+        rays[2] += method.see_lamps(pixels, lamps)
+        parts = np.array([samples[:, :3].astype(np.float64) + samples[:, 3:], splats, lamps[:, :3]])
+        sums[:, 0] += parts
+        sums[:, 1] += parts * parts
         lit = (samples[:, 3:] + splats).astype(np.float64).sum(axis=1).reshape(height, width)
         lit = np.add.reduceat(np.add.reduceat(lit, blocks[0], axis=0), blocks[1], axis=1)
         caustics[0] += lit
         caustics[1] += lit * lit
-    pixel_passes = PASSES * width * height
-    rays = ray * eye_rays / pixel_passes, LIGHT_RAY * light_rays / pixel_passes
-    return Trial(sums[0], sums[1], sums[2], sums[3], caustics[0], caustics[1], *rays)
+    cost = rays * (ray, LIGHT_RAY, SIGHT_RAY) / (PASSES * width * height)
+    eye, light, seen = (Part(*both, one) for both, one in zip(sums, cost, strict=True))
+    return Trial(eye, light, seen, caustics[0], caustics[1])
