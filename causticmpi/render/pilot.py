@@ -29,9 +29,9 @@ PIXELS = 8192
 PASSES = 16
 FIRST_PASS = 2**40
 """No picture gets as far: the passes of a pilot are others than those of the run."""
-FORECAST_RAY, LIGHT_RAY, SIGHT_RAY = 1.4, 2.6, 1.5
+FORECAST_RAY, LIGHT_RAY, SIGHT_RAY = 1.4, 2.6, 3.0
 """CPU time of a ray with its share of the forecast, of one of light tracing with its splats, and of one that looks for
-lamps, over that of a ray sampled plainly: 1.1 to 1.7, 1.3 to 3 and X to Y on cornell, ring, pool and figurines."""
+lamps, over that of a ray sampled plainly: 1.1 to 1.7, 1.3 to 3 and 1.8 to 5 on cornell, ring, pool and figurines."""
 GAIN = 0.8
 """Plain sampling must promise no more than this part of the forecast's error times cost: its estimate is the one that
 tends to be too low."""
