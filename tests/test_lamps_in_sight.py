@@ -17,8 +17,8 @@ from causticmpi.kernels.eye_path import emitted, follow_chain
 from causticmpi.kernels.material_kinds import MIRROR
 from causticmpi.kernels.pixels import pixel_order
 from causticmpi.kernels.vec import INFINITY, WHITE
-from causticmpi.preprocess.lamp_sight import lamp_sight, seen_everywhere
 from causticmpi.preprocess.forecast import no_forecast
+from causticmpi.preprocess.lamp_sight import LampSight, lamp_sight, seen_in_passing
 from causticmpi.render.methods import make_method
 from causticmpi.scene.content import with_camera
 from causticmpi.scene.data import SceneData
@@ -129,7 +129,7 @@ def test_tiles_in_any_order_and_company(scene: SceneData) -> None:
         for start in reversed(starts)
     )
     np.testing.assert_array_equal(whole, parts)
-    see_lamps(prepared.traced, camera, work, seen_everywhere().mask, 2, pixels, 1, 0, everywhere)
+    see_lamps(prepared.traced, camera, work, seen_in_passing().mask, 2, pixels, 1, 0, everywhere)
     np.testing.assert_array_equal(whole, everywhere)
     assert whole.any()
     prepared.embree.close()
@@ -142,12 +142,16 @@ def test_nothing_else_adds_the_lamps(scene: SceneData) -> None:
     prepared = prepare(scene)
     camera = camera_array(scene.camera, SIDE, SIDE)
     pixels = pixel_order((0, 0, SIDE, SIDE), SIDE)
+    everywhere = LampSight(seen_in_passing().mask, 2)
     for name in ("iws", "iws+cf"):
-        method = make_method(make_config(method=name), prepared.traced, camera, no_forecast(), prepared.extent)
-        method.begin_pass(0)
-        film, lamps = np.zeros((2, SIDE * SIDE, 6), np.float32)
+        config = make_config(method=name)
+        common = (config, prepared.traced, camera, no_forecast(), prepared.extent, None)
+        method, in_passing = make_method(*common, everywhere), make_method(*common)
+        film, lamps, single = np.zeros((3, SIDE * SIDE, 6), np.float32)
+        method.begin_pass(0), in_passing.begin_pass(0)
         method.trace(pixels, film)
         method.see_lamps(pixels, lamps)  # type: ignore[attr-defined]
         np.testing.assert_array_equal(film, lamps)
-        assert lamps.any()
+        in_passing.trace(pixels, single)
+        assert lamps[:, :3].any() and single[:, :3].any() and not lamps[:, 3:].any() and not single[:, 3:].any()
     prepared.embree.close()

@@ -27,7 +27,7 @@ def trial(
     light_rays: float,
     caustic: np.ndarray | None = None,
     lamps: float = 0.0,
-    lamp_rays: float = 1.0,
+    lamp_rays: float = 0.0,
 ) -> pilot.Trial:
     """Of given variance per pass, mean 1; caustic: (2, 4, 4) mean and standard deviation of L_c in each block."""
     n = pilot.PASSES
@@ -38,44 +38,53 @@ def trial(
 
     mean, deviation = np.stack([np.full(BLOCKS, 1.0), np.full(BLOCKS, 0.01)]) if caustic is None else caustic
     return pilot.Trial(
-        part(1.0, eye, eye_rays), part(0.0, light, light_rays), part(0.0, lamps, lamp_rays),
+        part(1.0, eye, eye_rays), part(0.0, light, light_rays), part(0.0, lamps, lamp_rays), none,
         n * mean, n * (mean**2 + deviation**2),
     )  # fmt: skip
 
 
 def test_light_paths_where_error_times_cost_is_least() -> None:
     plain = trial(100.0, 0.0, 20.0, 0.0)
-    plan = pilot.choose(trial(1.0, 4.0, 20.0, 5.0), plain, 0.5, RELMSE_FLOOR)
+    plan = pilot.choose(trial(1.0, 4.0, 20.0, 5.0), plain, 0.5, 2, RELMSE_FLOOR)
     assert not plan.plain and plan.paths_per_pixel == pytest.approx(0.5 * 4.0)
 
     def score(more: float) -> float:
-        return (1.0 + 4.0 / more) * (20.0 + 5.0 * more + 1.0) / (1 + RELMSE_FLOOR)
+        return (1.0 + 4.0 / more) * (20.0 + 5.0 * more) / (1 + RELMSE_FLOOR)
 
     assert plan.forecast_score == pytest.approx(score(4.0))
     assert score(4.0) < min(score(3.0), score(5.0))
     hopeless = trial(1e12, 0.0, 20.0, 0.0)
-    assert pilot.choose(trial(1.0, 1e9, 20.0, 5.0), hopeless, 0.5, RELMSE_FLOOR).paths_per_pixel == pilot.MOST_PATHS
-    assert pilot.choose(trial(1.0, 0.0, 20.0, 0.0), plain, 0.0, RELMSE_FLOOR).paths_per_pixel == 0
+    assert pilot.choose(trial(1.0, 1e9, 20.0, 5.0), hopeless, 0.5, 2, RELMSE_FLOOR).paths_per_pixel == pilot.MOST_PATHS
+    assert pilot.choose(trial(1.0, 0.0, 20.0, 0.0), plain, 0.0, 2, RELMSE_FLOOR).paths_per_pixel == 0
 
 
 def test_looks_for_lamps_where_error_times_cost_is_least() -> None:
     plain = trial(1e12, 0.0, 20.0, 0.0)
-    for variance, side in ((1.0, 3), (1e-3, 1), (1e6, pilot.MOST_SIDE), (0.0, pilot.SIGHT_SIDE)):
-        plan = pilot.choose(trial(1.0, 4.0, 20.0, 5.0, None, variance, 4.0), plain, 0.5, RELMSE_FLOOR)
-        assert plan.sight_side == side and plan.paths_per_pixel == pytest.approx(0.5 * 4.0)
+    for variance, side in ((1.0, 3), (1e-3, 0), (1e6, pilot.MOST_SIDE), (0.0, 2)):
+        plan = pilot.choose(trial(1.0, 4.0, 20.0, 5.0, None, variance, 4.0), plain, 0.5, 2, RELMSE_FLOOR)
+        assert plan.sight_side == side
+
+
+def test_a_glint_met_once_is_no_bright_pixel() -> None:
+    picture = np.zeros((20, 13, 3))
+    picture[9, 3] = 64.0
+    picture[18, 12] = 20.0
+    level = pilot._even_out(picture, [np.arange(0, side, pilot.BLOCK) for side in (20, 13)])
+    assert (level[8:16, :8] == 1.0).all() and (level[16:, 8:] == 1.0).all()
+    assert level.sum() == pytest.approx(picture.sum())
 
 
 def test_plain_sampling_is_chosen_where_it_pays_and_sees() -> None:
     forecast = trial(1.0, 1.0, 20.0, 20.0)
-    assert pilot.choose(forecast, trial(1.0, 0.0, 20.0, 0.0), 1.0, RELMSE_FLOOR).plain
-    assert not pilot.choose(forecast, trial(3.5, 0.0, 20.0, 0.0), 1.0, RELMSE_FLOOR).plain
+    assert pilot.choose(forecast, trial(1.0, 0.0, 20.0, 0.0), 1.0, 2, RELMSE_FLOOR).plain
+    assert not pilot.choose(forecast, trial(3.5, 0.0, 20.0, 0.0), 1.0, 2, RELMSE_FLOOR).plain
     caustic = np.stack([np.full(BLOCKS, 1.0), np.full(BLOCKS, 0.01)])
     caustic[0, 1, 2] = 0.9  # one block is darker by 10 of its standard deviations
-    assert not pilot.choose(forecast, trial(1.0, 0.0, 20.0, 0.0, caustic), 1.0, RELMSE_FLOOR).plain
+    assert not pilot.choose(forecast, trial(1.0, 0.0, 20.0, 0.0, caustic), 1.0, 2, RELMSE_FLOOR).plain
     caustic[0, 1, 2] = 1.1  # brighter is no sign of blindness
-    assert pilot.choose(forecast, trial(1.0, 0.0, 20.0, 0.0, caustic), 1.0, RELMSE_FLOOR).plain
+    assert pilot.choose(forecast, trial(1.0, 0.0, 20.0, 0.0, caustic), 1.0, 2, RELMSE_FLOOR).plain
     caustic[1] = 8.0  # the whole is not known to a tenth
-    assert not pilot.choose(forecast, trial(1.0, 0.0, 20.0, 0.0, caustic), 1.0, RELMSE_FLOOR).plain
+    assert not pilot.choose(forecast, trial(1.0, 0.0, 20.0, 0.0, caustic), 1.0, 2, RELMSE_FLOOR).plain
 
 
 def config_of(scene: Path, *settings: str) -> RenderConfig:

@@ -42,7 +42,7 @@ def _see_and_gather(scene, camera, work, pixels, pass_index, lights, count, boun
     """First vertices and their virtual lights, for whole tiles. Returns (rays to see, shadow rays)."""
     seen, shadows = 0, 0
     for first in range(0, pixels.shape[0], LANES):
-        used, rays = full_radiance.see_tile(scene, camera, work, pixels, first, 1, pass_index, False)
+        used, rays = full_radiance.see_tile(scene, camera, work, pixels, first, 1, pass_index, False, True)
         seen += rays
         if used > 0 and count > 0:
             shadows += full_radiance.gather_lights(scene, work, lights, count, np.float32(bound))

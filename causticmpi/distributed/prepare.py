@@ -14,12 +14,12 @@ from causticmpi.output.picture import RELMSE_FLOOR
 from causticmpi.preprocess.aim import emission_aim
 from causticmpi.preprocess.forecast import ClusterStatistics, ForecastMaps, build_forecast, no_forecast
 from causticmpi.preprocess.guides import Guides, learn_guides, no_guides
-from causticmpi.preprocess.lamp_sight import LampSight, lamp_sight, seen_everywhere
+from causticmpi.preprocess.lamp_sight import LampSight, seen_in_passing
 from causticmpi.preprocess.photon_map import PhotonMap, build_photon_map, no_photon_map
 from causticmpi.preprocess.photons import CausticPoints, shoot_photons
 from causticmpi.render.foresight import of_photon_map, of_photons
 from causticmpi.render.methods import FORECASTING, Method, bound_of, make_method
-from causticmpi.render.pilot import SIGHT_SIDE, Plan, needs_pilot, run_pilot
+from causticmpi.render.pilot import Plan, find_lamps, needs_pilot, run_pilot
 from causticmpi.scene.content import extent, has_specular
 from causticmpi.scene.data import SceneData
 from causticmpi.scene.tracing import primitive_arrays, traced_scene
@@ -65,7 +65,7 @@ class Forecasting:
     rays: int = 0
     warnings: tuple[str, ...] = ()
     guides: Guides = field(default_factory=no_guides)
-    sight: LampSight = field(default_factory=seen_everywhere)
+    sight: LampSight = field(default_factory=seen_in_passing)
     plan: Plan | None = None
 
 
@@ -80,7 +80,7 @@ def prepare_method(
     """Collective. The whole preprocess, and the method on every rank. camera: see kernels.camera."""
     made = prepare_forecast(world, config, scene, watch)
     made.guides = _prepare_guides(world, config, scene, camera, watch)
-    made.sight = _prepare_sight(world, config, scene, camera)
+    made.sight = _prepare_sight(world, config, scene, camera, watch)
     if needs_pilot(config, made.maps):
         made.plan = _prepare_plan(world, config, scene, made, watch)
         made.guides = made.guides._replace(paths_per_pixel=made.plan.paths_per_pixel)
@@ -102,15 +102,18 @@ def _prepare_guides(
     return world.broadcast(guides)
 
 
-def _prepare_sight(world: World, config: RenderConfig, scene: PreparedScene, camera: np.ndarray) -> LampSight:
+def _prepare_sight(
+    world: World, config: RenderConfig, scene: PreparedScene, camera: np.ndarray, watch: Stopwatch
+) -> LampSight:
     """Rank 0 finds the pixels that may show a lamp; path tracing has no use for it."""
     if config.method in ("pt", "pt-brute"):
-        return seen_everywhere()
-    film = config.film
-    mask = None
+        return seen_in_passing()
+    sight = seen_in_passing()
     if world.is_root:
-        mask = {"mask": lamp_sight(scene.data, camera, film.width, film.height, SIGHT_SIDE).mask}
-    return LampSight(world.share(mask)["mask"], SIGHT_SIDE)
+        with watch.stage("guides"):
+            sight = find_lamps(scene.data, scene.traced, camera, config.film, config.seed)
+    mask = world.share({"mask": sight.mask} if world.is_root else None)["mask"]
+    return LampSight(mask, world.broadcast(sight.side))
 
 
 def _prepare_plan(
@@ -120,7 +123,8 @@ def _prepare_plan(
     plan = None
     if world.is_root:
         with watch.stage("pilot"):
-            plan = run_pilot(config, scene.data, scene.traced, made.maps, scene.extent, made.guides, RELMSE_FLOOR)
+            common = (config, scene.data, scene.traced)
+            plan = run_pilot(*common, made.maps, scene.extent, made.guides, made.sight.side, RELMSE_FLOOR)
     shared: Plan = world.broadcast(plan)
     return shared
 

@@ -112,10 +112,11 @@ def pass_work(forecast: Any, most_rays: int) -> PassWork:
 
 
 @inline
-def see_tile(scene, camera, work, pixels, first, seed, pass_index, splats):
+def see_tile(scene, camera, work, pixels, first, seed, pass_index, splats, lamps):
     """Find the first non-specular vertex behind each of 16 pixels. Returns (vertices in use, rays traced).
 
-    splats: light tracing draws the caustics on what it owns of what is seen directly.
+    splats: light tracing draws the caustics on what it owns of what is seen directly; lamps: what is met of them is
+    added here, and not by looks of their own (lamps_in_sight).
     """
     packet, hits, lane = work.packet, work.hits, work.lane
     traced = see_packet(scene, camera, packet, pixels, first, seed, pass_index)
@@ -141,6 +142,8 @@ def see_tile(scene, camera, work, pixels, first, seed, pass_index, splats):
         direction, throughput = lane_direction(packet, i), vec.row(hits.throughput, i)
         p, n, offset = hit_point(scene, primitive, lane_origin(packet, i), direction, hits.distance[i])
         material = np.int64(scene.material[primitive])
+        if lamps:
+            add_light(work, i, DIFFUSIVE, vec.mul(throughput, emitted(scene, primitive, n, direction)))
         if vec.max3(bsdf.albedo(scene, material)) <= ZERO:
             continue
         n = facing(n, direction)

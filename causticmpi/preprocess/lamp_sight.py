@@ -15,16 +15,16 @@ NEAR = 1e-6
 
 
 class LampSight(NamedTuple):
-    """mask (pixels of the whole film,) bool: where a lamp may be seen, empty for everywhere; side: samples of such a
-    pixel in a pass lie in a grid of side x side."""
+    """mask (pixels of the whole film,) bool: where a lamp may be seen, empty for everywhere; side: looks at such a
+    pixel in a pass lie in a grid of side x side; 0: lamps are seen in passing, by the paths that look for vertices."""
 
     mask: Any
     side: int
 
 
-def seen_everywhere() -> LampSight:
-    """Without knowledge of the scene: one sample in every pixel."""
-    return _sight(np.empty(0, np.bool_), 1)
+def seen_in_passing() -> LampSight:
+    """No looks for lamps alone."""
+    return _sight(np.empty(0, np.bool_), 0)
 
 
 def _sight(mask: np.ndarray, side: int) -> LampSight:

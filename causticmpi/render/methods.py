@@ -28,7 +28,7 @@ from causticmpi.kernels.path_layout import FIRST_SPLIT, SECOND_SPLIT, path_work
 from causticmpi.kernels.traced_scene import TracedScene
 from causticmpi.preprocess.forecast import ForecastMaps
 from causticmpi.preprocess.guides import Guides, no_guides
-from causticmpi.preprocess.lamp_sight import LampSight, seen_everywhere
+from causticmpi.preprocess.lamp_sight import LampSight, seen_in_passing
 from causticmpi.preprocess.photon_map import PhotonMap
 
 FORECASTING = ("iws+cf",)
@@ -120,6 +120,7 @@ class VirtualLighting(EyePaths):
     def __post_init__(self) -> None:
         self.rays = ray_buffer()
         self.sight_work = sight_work(self.sight.side)
+        self.in_passing = self.sight.side == 0
         self.peak = most_peak(self.scene)
         self.lights = empty_virtual_lights(8 * self.paths)
 
@@ -138,13 +139,15 @@ class VirtualLighting(EyePaths):
         return self.trace_vertices(pixels, film) + self.see_lamps(pixels, film)
 
     def see_lamps(self, pixels: np.ndarray, film: np.ndarray) -> int:
-        """Add the lamps themselves to L_d, alone of all; returns rays traced."""
+        """Add the lamps themselves to L_d where they get looks of their own; returns rays traced."""
+        if self.in_passing:
+            return 0
         eye = (self.scene, self.camera, self.sight_work, self.sight.mask, self.sight.side)
         rays: int = see_lamps(*eye, pixels, self.seed, self.pass_index, film)
         return rays
 
     def trace_vertices(self, pixels: np.ndarray, film: np.ndarray) -> int:
-        """Add what comes from the first non-specular vertices, all but the lamps; returns rays traced."""
+        """Add what comes from the first non-specular vertices, all but what `see_lamps` adds; returns rays traced."""
         raise NotImplementedError
 
 
@@ -172,9 +175,9 @@ class WeakSingularities(VirtualLighting):
         eye = (self.scene, self.camera, self.work, pixels, self.seed, self.pass_index)
         light = (self.lights, self.light_count, self.maps, self.few, self.bound)
         if self.mixture:
-            rays, lost = trace_iws_mixture(*eye, *light, self.peak, self.light_paths > 0, film)
+            rays, lost = trace_iws_mixture(*eye, *light, self.peak, self.light_paths > 0, self.in_passing, film)
         else:
-            rays, lost = trace_iws_cf(*eye, *light, self.peak, self.caustics, film)
+            rays, lost = trace_iws_cf(*eye, *light, self.peak, self.caustics, self.in_passing, film)
         return none_lost(rays, lost)
 
     def trace_light(self, pass_index: int, first: int, last: int, film: np.ndarray) -> int:
@@ -210,7 +213,7 @@ class PhotonMapping(VirtualLighting):
     def trace_vertices(self, pixels: np.ndarray, film: np.ndarray) -> int:
         eye = (self.scene, self.camera, self.work, pixels, self.seed, self.pass_index)
         light = (self.lights, self.light_count, self.photons, self.few, self.bound)
-        return none_lost(*trace_iws_pm(*eye, *light, self.peak, film))
+        return none_lost(*trace_iws_pm(*eye, *light, self.peak, self.in_passing, film))
 
 
 def none_lost(rays: int, lost: int) -> int:
@@ -230,8 +233,8 @@ def make_method(
     sight: LampSight | None = None,
 ) -> Method:
     """The configured method. maps: a photon map for `iws+pm`; extent: diagonal of the scene [scene units], for the
-    automatic bound; guides: natural emission, and no light tracing, if there are none; sight: one look for lamps in
-    every pixel if there is none."""
+    automatic bound; guides: natural emission, and no light tracing, if there are none; sight: lamps are seen in
+    passing if there is none."""
     common: dict[str, Any] = {"scene": scene, "camera": camera, "seed": config.seed}
     if config.method == "pt":
         return PathTracing(**common)
@@ -240,7 +243,7 @@ def make_method(
     guides = guides or no_guides()
     common |= {
         "guides": guides,
-        "sight": sight or seen_everywhere(),
+        "sight": sight or seen_in_passing(),
         "paths": config.iws.paths,
         "few": config.iws.deep_lights,
         "bound": bound_of(config, extent),

@@ -15,11 +15,12 @@ import msgspec
 import numpy as np
 
 from causticmpi.config.records import Film, RenderConfig
+from causticmpi.estimators.lamps_in_sight import see_lamps, sight_work
 from causticmpi.kernels.pixels import pixel_order
 from causticmpi.kernels.traced_scene import TracedScene
 from causticmpi.preprocess.forecast import ForecastMaps, no_forecast
 from causticmpi.preprocess.guides import Guides
-from causticmpi.preprocess.lamp_sight import lamp_sight
+from causticmpi.preprocess.lamp_sight import LampSight, lamp_sight, seen_in_passing
 from causticmpi.render.methods import FORECASTING, Method, VirtualLighting, make_method
 from causticmpi.scene.data import SceneData
 from causticmpi.scene.tracing import camera_array
@@ -43,15 +44,17 @@ KNOWN = 0.1
 """Relative standard error up to which the caustics of the whole picture count as seen."""
 FEWEST_PATHS, MOST_PATHS = 1 / 16, 16.0
 """Light paths for every pixel and pass."""
-SIGHT_SIDE, MOST_SIDE = 2, 6
+SIGHT_SIDE, MOST_SIDE = 2, 4
 """Side of the grid of looks for lamps in a pixel, without a pilot; at most with one."""
+LOOKS = 4
+"""Passes of looks that tell whether the eye sees a lamp at all."""
 
 
 @dataclass(frozen=True)
 class Plan:
     """What the pilot chose. plain: sample by the BRDF, leave the maps aside; paths_per_pixel: light paths of a pass for
-    every pixel; sight_side: of the grid of looks for lamps; forecast_score, plain_score: mean squared relative error
-    of a pass times its rays per pixel."""
+    every pixel; sight_side: of the grid of looks for lamps, 0 in passing; forecast_score, plain_score: mean squared
+    relative error of a pass times its rays per pixel."""
 
     plain: bool
     paths_per_pixel: float
@@ -86,17 +89,19 @@ class Part:
 @dataclass(frozen=True)
 class Trial:
     """What the passes of one way gave: by vertices that eye paths find, by splats of light paths, by lamps in sight;
-    caustic, caustic_squares (blocks,): sums of L_c."""
+    lamp_level (slots, 3): sums of the last, evened out over blocks; caustic, caustic_squares (blocks,): sums of L_c."""
 
     eye: Part
     light: Part
     lamps: Part
+    lamp_level: np.ndarray
     caustic: np.ndarray
     caustic_squares: np.ndarray
 
     @property
-    def mean(self) -> np.ndarray:
-        return (self.eye.total + self.light.total + self.lamps.total) / PASSES
+    def level(self) -> np.ndarray:
+        """Radiance that errors are relative to. A glint met once must not pass for a bright pixel."""
+        return (self.eye.total + self.light.total + self.lamp_level) / PASSES
 
 
 def needs_pilot(config: RenderConfig, maps: ForecastMaps) -> bool:
@@ -117,13 +122,15 @@ def run_pilot(
     maps: ForecastMaps,
     extent: float,
     guides: Guides,
+    side: int,
     floor: float,
 ) -> Plan:
-    """Try both ways on the same small picture, of the film's shape, not of its crop's. floor: of the relative error."""
+    """Try both ways on the same small picture, of the film's shape, not of its crop's. side: of the grid of looks for
+    lamps; floor: of the relative error."""
     small = msgspec.structs.replace(config, film=small_film(config.film))
     camera = camera_array(data.camera, small.film.width, small.film.height)
 
-    sight = lamp_sight(data, camera, small.film.width, small.film.height, SIGHT_SIDE)
+    sight = lamp_sight(data, camera, small.film.width, small.film.height, side)
 
     def try_way(maps: ForecastMaps, guides: Guides, ray: float) -> Trial:
         return _try(make_method(small, scene, camera, maps, extent, guides, sight), small.film, ray)
@@ -131,7 +138,7 @@ def run_pilot(
     if not config.forecast.light_tracing:
         guides = guides._replace(paths_per_pixel=0.0)
     forecast = try_way(maps, guides, FORECAST_RAY)
-    return choose(forecast, try_way(no_forecast(), guides, 1.0), guides.paths_per_pixel, floor)
+    return choose(forecast, try_way(no_forecast(), guides, 1.0), guides.paths_per_pixel, side, floor)
 
 
 def small_film(film: Film) -> Film:
@@ -140,36 +147,49 @@ def small_film(film: Film) -> Film:
     return Film(width=max(1, int(film.width * shrink)), height=max(1, int(film.height * shrink)))
 
 
-def choose(forecast: Trial, plain: Trial, paths_per_pixel: float, floor: float) -> Plan:
-    """The way of less error times cost; paths_per_pixel: what `forecast` was tried with, the best number is found;
+def find_lamps(data: SceneData, scene: TracedScene, camera: np.ndarray, film: Film, seed: int) -> LampSight:
+    """Where the eye may see a lamp, and whether looks at a small picture see one; else lamps are seen in passing."""
+    small = small_film(film)
+    eye = camera_array(data.camera, small.width, small.height)
+    sight = lamp_sight(data, eye, small.width, small.height, SIGHT_SIDE)
+    seen = np.zeros((small.width * small.height, 6), np.float32)
+    pixels, work = pixel_order(small.window, small.width), sight_work(SIGHT_SIDE)
+    for index in range(FIRST_PASS, FIRST_PASS + LOOKS):
+        see_lamps(scene, eye, work, *sight, pixels, seed, index, seen)
+    if not seen.any():
+        return seen_in_passing()
+    return lamp_sight(data, camera, film.width, film.height, SIGHT_SIDE)
+
+
+def choose(forecast: Trial, plain: Trial, paths_per_pixel: float, side: int, floor: float) -> Plan:
+    """The way of less error times cost; paths_per_pixel, side: what `forecast` was tried with, the best are found;
     floor: of the relative squared error [radiance^2]."""
-    level = (forecast.mean + plain.mean) / 2
+    level = (forecast.level + plain.level) / 2
     weight = 1 / (level * level + floor)
-    score, paths, looks = _best(forecast, paths_per_pixel, weight)
-    plain_score, _, plain_looks = _best(plain, 0.0, weight)
+    score, paths, best_side = _best(forecast, paths_per_pixel, side, weight)
+    plain_score, _, plain_side = _best(plain, 0.0, side, weight)
     pays = plain_score > GAIN * score or not sees(plain, forecast)
-    side = round(math.sqrt(looks if pays else plain_looks))
-    return Plan(not pays, paths if pays else 0.0, side, score, plain_score)
+    return Plan(not pays, paths if pays else 0.0, best_side if pays else plain_side, score, plain_score)
 
 
-def _best(trial: Trial, paths_per_pixel: float, weight: np.ndarray) -> tuple[float, float, float]:
-    """Least error times cost, the light paths for every pixel and the looks for lamps that give it."""
-    eye = trial.eye.error(weight)
-    error, rays = eye, trial.eye.rays
-    numbers = []
-    for part, tried, least, most in (
-        (trial.light, paths_per_pixel, FEWEST_PATHS, MOST_PATHS),
-        (trial.lamps, float(SIGHT_SIDE**2), 1.0, float(MOST_SIDE**2)),
-    ):
-        own, more = part.error(weight), 1.0
-        if own > 0 and eye > 0:
-            # Least (eye + own / more) (eye rays + own rays more); so for each part, whatever the other does.
-            more = math.sqrt(own * trial.eye.rays / (eye * part.rays))
-            more = min(max(more * tried, least), most) / tried
-        error += own / more
-        rays += part.rays * more
-        numbers.append(tried * more)
-    return error * rays, numbers[0], numbers[1]
+def _best(trial: Trial, paths_per_pixel: float, side: int, weight: np.ndarray) -> tuple[float, float, int]:
+    """Least error times cost, and what gives it: light paths for every pixel, side of the grid of looks for lamps."""
+    eye, light, lamps = (part.error(weight) for part in (trial.eye, trial.light, trial.lamps))
+    more = 1.0
+    if light > 0 and eye + lamps > 0:
+        # Least (error + light / more) (rays + light rays more).
+        error, rays = eye + lamps, trial.eye.rays + trial.lamps.rays
+        more = math.sqrt(light * rays / (error * trial.light.rays))
+        more = min(max(more * paths_per_pixel, FEWEST_PATHS), MOST_PATHS) / paths_per_pixel
+    error, rays = eye + light / more, trial.eye.rays + trial.light.rays * more
+
+    def score(other: int) -> float:
+        # Seen in passing, lamps have the error of a single look, at no cost.
+        looks = other**2 / side**2 if side else 0.0
+        return (error + lamps * (1 / looks if looks else side**2)) * (rays + trial.lamps.rays * looks)
+
+    best = min(range(MOST_SIDE + 1), key=score) if lamps > 0 else side
+    return score(best), more * paths_per_pixel, best
 
 
 def sees(plain: Trial, other: Trial) -> bool:
@@ -211,5 +231,16 @@ def _try(method: Method, film: Film, ray: float) -> Trial:
         caustics[0] += lit
         caustics[1] += lit * lit
     cost = rays * (ray, LIGHT_RAY, SIGHT_RAY) / (PASSES * width * height)
-    eye, light, seen = (Part(*both, one) for both, one in zip(sums, cost, strict=True))
-    return Trial(eye, light, seen, caustics[0], caustics[1])
+    eye, light, seen = (Part(sums[i, 0], sums[i, 1], float(cost[i])) for i in range(3))
+    level = _even_out(seen.total.reshape(height, width, 3), blocks).reshape(-1, 3)
+    return Trial(eye, light, seen, level, caustics[0], caustics[1])
+
+
+def _even_out(picture: np.ndarray, blocks: list[np.ndarray]) -> np.ndarray:
+    """The mean of its block in every pixel of a picture (height, width, 3); blocks: first row and column of each."""
+    for axis, starts in enumerate(blocks):
+        sizes = np.diff(starts, append=picture.shape[axis])
+        shape = [-1 if a == axis else 1 for a in range(3)]
+        means = np.add.reduceat(picture, starts, axis=axis) / sizes.reshape(shape)
+        picture = np.repeat(means, sizes, axis=axis)
+    return picture

@@ -193,7 +193,9 @@ def _lies(page: Page, rows: Sequence[Row]) -> str:
         text = f"{contender.label}: refuses {' and '.join(refusals) or 'nothing'}"
         if honest is not None and lied and honest.relmse > 0:
             worst = max(lied, key=lambda row: row.relmse)
-            text += f", takes {len(lied)} others, at worst for x {number(worst.relmse / honest.relmse)} the honest error"
+            text += (
+                f", takes {len(lied)} others, at worst for x {number(worst.relmse / honest.relmse)} the honest error"
+            )
             text += f" ({shown(worst.value)})"
         said.append(text)
     return _sentence(said)
