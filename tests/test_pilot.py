@@ -36,9 +36,11 @@ def trial(
     def part(mean: float, variance: float, rays: float) -> pilot.Part:
         return pilot.Part(none + n * mean, none + n * mean**2 + variance * (n - 1), rays)
 
+    swing = np.sqrt(lamps * (n - 1) / n) * np.tile([-1.0, 1.0], n // 2)
+    looks = pilot.Looks(np.broadcast_to(swing[:, None, None], (n, SLOTS, 3)), lamp_rays)
     mean, deviation = np.stack([np.full(BLOCKS, 1.0), np.full(BLOCKS, 0.01)]) if caustic is None else caustic
     return pilot.Trial(
-        part(1.0, eye, eye_rays), part(0.0, light, light_rays), part(0.0, lamps, lamp_rays), none,
+        part(1.0, eye, eye_rays), part(0.0, light, light_rays), looks,
         n * mean, n * (mean**2 + deviation**2),
     )  # fmt: skip
 
@@ -66,12 +68,17 @@ def test_looks_for_lamps_where_error_times_cost_is_least() -> None:
 
 
 def test_a_glint_met_once_is_no_bright_pixel() -> None:
-    picture = np.zeros((20, 13, 3))
-    picture[9, 3] = 64.0
-    picture[18, 12] = 20.0
-    level = pilot._even_out(picture, [np.arange(0, side, pilot.BLOCK) for side in (20, 13)])
-    assert (level[8:16, :8] == 1.0).all() and (level[16:, 8:] == 1.0).all()
-    assert level.sum() == pytest.approx(picture.sum())
+    """Its error is relative to what the other passes saw; that of a pixel which is bright, to its brightness."""
+    passes = np.zeros((pilot.PASSES, 2, 3), np.float32)
+    passes[3, 0] = 160.0
+    passes[:, 1] = 80.0 + np.tile([-1.0, 1.0], pilot.PASSES // 2)[:, None]
+    glint, lamp = (pilot.Looks(passes[:, i : i + 1], 1.0).error(np.full((1, 3), 0.5), 0.01) for i in (0, 1))
+    variance = passes.astype(np.float64).var(axis=0, ddof=1)[:, 0]
+    others = 160 / (pilot.PASSES - 1)
+    quiet = (pilot.PASSES - 1) * others**2 / ((0.5 + others) ** 2 + 0.01) * (pilot.PASSES - 1) / pilot.PASSES
+    assert glint == pytest.approx((160**2 * (pilot.PASSES - 1) / pilot.PASSES / 0.26 + quiet) / pilot.PASSES, rel=1e-5)
+    assert glint > 0.9 * variance[0] * (pilot.PASSES - 1) / pilot.PASSES / 0.26
+    assert lamp == pytest.approx(variance[1] / (80.5**2 + 0.01), rel=0.01)
 
 
 def test_plain_sampling_is_chosen_where_it_pays_and_sees() -> None:

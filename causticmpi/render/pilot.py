@@ -87,21 +87,37 @@ class Part:
 
 
 @dataclass(frozen=True)
+class Looks:
+    """Lamps in sight. passes (PASSES, slots, 3): what each pass saw of them; rays: as of a Part."""
+
+    passes: np.ndarray
+    rays: float
+
+    def error(self, rest: np.ndarray, floor: float) -> float:
+        """Mean relative squared error of one pass; rest (slots, 3): radiance without lamps.
+
+        The level of a pass is that of all others: a glint met once must not pass for a bright pixel.
+        """
+        others = (self.passes.sum(axis=0) - self.passes) / (PASSES - 1)
+        squares = (self.passes - others) ** 2 * ((PASSES - 1) / PASSES)
+        return float((squares / ((rest + others) ** 2 + floor)).mean())
+
+
+@dataclass(frozen=True)
 class Trial:
-    """What the passes of one way gave: by vertices that eye paths find, by splats of light paths, by lamps in sight;
-    lamp_level (slots, 3): sums of the last, evened out over blocks; caustic, caustic_squares (blocks,): sums of L_c."""
+    """What the passes of one way gave: by vertices that eye paths find, by splats of light paths, by looks for lamps;
+    caustic, caustic_squares (blocks,): sums of L_c."""
 
     eye: Part
     light: Part
-    lamps: Part
-    lamp_level: np.ndarray
+    lamps: Looks
     caustic: np.ndarray
     caustic_squares: np.ndarray
 
     @property
-    def level(self) -> np.ndarray:
-        """Radiance that errors are relative to. A glint met once must not pass for a bright pixel."""
-        return (self.eye.total + self.light.total + self.lamp_level) / PASSES
+    def rest(self) -> np.ndarray:
+        """Mean radiance without the lamps."""
+        return (self.eye.total + self.light.total) / PASSES
 
 
 def needs_pilot(config: RenderConfig, maps: ForecastMaps) -> bool:
@@ -164,22 +180,21 @@ def find_lamps(data: SceneData, scene: TracedScene, camera: np.ndarray, film: Fi
 def choose(forecast: Trial, plain: Trial, paths_per_pixel: float, side: int, floor: float) -> Plan:
     """The way of less error times cost; paths_per_pixel, side: what `forecast` was tried with, the best are found;
     floor: of the relative squared error [radiance^2]."""
-    level = (forecast.level + plain.level) / 2
-    weight = 1 / (level * level + floor)
-    score, paths, best_side = _best(forecast, paths_per_pixel, side, weight)
-    plain_score, _, plain_side = _best(plain, 0.0, side, weight)
+    rest = (forecast.rest + plain.rest) / 2
+    score, paths, best_side = _best(forecast, paths_per_pixel, side, rest, floor)
+    plain_score, _, plain_side = _best(plain, 0.0, side, rest, floor)
     pays = plain_score > GAIN * score or not sees(plain, forecast)
     return Plan(not pays, paths if pays else 0.0, best_side if pays else plain_side, score, plain_score)
 
 
-def _best(trial: Trial, paths_per_pixel: float, side: int, weight: np.ndarray) -> tuple[float, float, int]:
+def _best(trial: Trial, paths_per_pixel: float, side: int, rest: np.ndarray, floor: float) -> tuple[float, float, int]:
     """Least error times cost, and what gives it: light paths for every pixel, side of the grid of looks for lamps."""
-    eye, light, lamps = (part.error(weight) for part in (trial.eye, trial.light, trial.lamps))
+    weight = 1 / ((rest + trial.lamps.passes.mean(axis=0)) ** 2 + floor)
+    eye, light, lamps = trial.eye.error(weight), trial.light.error(weight), trial.lamps.error(rest, floor)
     more = 1.0
-    if light > 0 and eye + lamps > 0:
-        # Least (error + light / more) (rays + light rays more).
-        error, rays = eye + lamps, trial.eye.rays + trial.lamps.rays
-        more = math.sqrt(light * rays / (error * trial.light.rays))
+    if light > 0 and eye > 0:
+        # Least (eye + light / more) (eye rays + light rays more).
+        more = math.sqrt(light * trial.eye.rays / (eye * trial.light.rays))
         more = min(max(more * paths_per_pixel, FEWEST_PATHS), MOST_PATHS) / paths_per_pixel
     error, rays = eye + light / more, trial.eye.rays + trial.light.rays * more
 
@@ -213,7 +228,8 @@ def _try(method: Method, film: Film, ray: float) -> Trial:
     blocks = [np.arange(0, side, BLOCK) for side in (height, width)]
     samples, lamps = np.zeros((2, width * height, 6), np.float32)
     splats = np.zeros((width * height, 3), np.float32)
-    sums = np.zeros((3, 2, width * height, 3))
+    sums = np.zeros((2, 2, width * height, 3))
+    looks = np.zeros((PASSES, width * height, 3), np.float32)
     caustics = np.zeros((2, len(blocks[0]), len(blocks[1])))
     rays = np.zeros(3)
     for index in range(FIRST_PASS, FIRST_PASS + PASSES):
@@ -223,7 +239,8 @@ def _try(method: Method, film: Film, ray: float) -> Trial:
         if method.light_paths:
             rays[1] += method.trace_light(index, 0, method.light_paths, splats)
         rays[2] += method.see_lamps(pixels, lamps)
-        parts = np.array([samples[:, :3].astype(np.float64) + samples[:, 3:], splats, lamps[:, :3]])
+        parts = np.array([samples[:, :3].astype(np.float64) + samples[:, 3:], splats])
+        looks[index - FIRST_PASS] = lamps[:, :3]
         sums[:, 0] += parts
         sums[:, 1] += parts * parts
         lit = (samples[:, 3:] + splats).astype(np.float64).sum(axis=1).reshape(height, width)
@@ -231,16 +248,5 @@ def _try(method: Method, film: Film, ray: float) -> Trial:
         caustics[0] += lit
         caustics[1] += lit * lit
     cost = rays * (ray, LIGHT_RAY, SIGHT_RAY) / (PASSES * width * height)
-    eye, light, seen = (Part(sums[i, 0], sums[i, 1], float(cost[i])) for i in range(3))
-    level = _even_out(seen.total.reshape(height, width, 3), blocks).reshape(-1, 3)
-    return Trial(eye, light, seen, level, caustics[0], caustics[1])
-
-
-def _even_out(picture: np.ndarray, blocks: list[np.ndarray]) -> np.ndarray:
-    """The mean of its block in every pixel of a picture (height, width, 3); blocks: first row and column of each."""
-    for axis, starts in enumerate(blocks):
-        sizes = np.diff(starts, append=picture.shape[axis])
-        shape = [-1 if a == axis else 1 for a in range(3)]
-        means = np.add.reduceat(picture, starts, axis=axis) / sizes.reshape(shape)
-        picture = np.repeat(means, sizes, axis=axis)
-    return picture
+    eye, light = (Part(sums[i, 0], sums[i, 1], float(cost[i])) for i in range(2))
+    return Trial(eye, light, Looks(looks, float(cost[2])), caustics[0], caustics[1])
