@@ -42,8 +42,13 @@ class _Found(NamedTuple):
 
 
 def _room(points: int) -> _Found:
-    numbers = [np.zeros(n, np.int32) for n in (points, waves.GROUP, waves.GROUP)]
-    return _Found(np.zeros((points, 12), np.float32), *numbers, np.zeros(waves.GROUP // 64, np.uint64))
+    return _Found(
+        point=np.zeros((points, 12), np.float32),
+        next=np.zeros(points, np.int32),
+        first=np.zeros(waves.GROUP, np.int32),
+        last=np.zeros(waves.GROUP, np.int32),
+        some=np.zeros(waves.GROUP // 64, np.uint64),
+    )
 
 
 @inline

@@ -44,7 +44,7 @@ KNOWN = 0.1
 """Relative standard error up to which the caustics of the whole picture count as seen."""
 FEWEST_PATHS, MOST_PATHS = 1 / 16, 16.0
 """Light paths for every pixel and pass."""
-SIGHT_SIDE, MOST_SIDE = 2, 4
+SIGHT_SIDE, MOST_SIDE = 2, 3
 """Side of the grid of looks for lamps in a pixel, without a pilot; at most with one."""
 LOOKS = 4
 """Passes of looks that tell whether the eye sees a lamp at all."""

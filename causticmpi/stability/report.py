@@ -2,7 +2,7 @@
 
 import subprocess
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from causticmpi import __version__
@@ -11,7 +11,6 @@ from causticmpi.compare.page import Image, Section, page
 from causticmpi.compare.tables import Table
 from causticmpi.errors import InputError
 from causticmpi.output.directory import write_whole
-from causticmpi.output.progress import clock
 from causticmpi.stability import seeds, sweep
 from causticmpi.stability.records import Page
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from causticmpi.compare import charts
-from causticmpi.compare.page import Image, Section
+from causticmpi.compare.page import Image
 from causticmpi.compare.tables import Table
 from causticmpi.config.command_line import Parser, count, one_line, positive
 from causticmpi.config.convert import convert
@@ -21,7 +21,6 @@ from causticmpi.stability import report, runs, seeds, show, show_runs, sweep, ve
 from causticmpi.stability.records import Page
 from causticmpi.stability.report import Finding, Making
 from causticmpi.stability.row import Kind
-
 
 RIVALS = "rivals"
 """Name of the task of a page's common rivals."""
