@@ -4,6 +4,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from causticmpi.kernels import vec
+from causticmpi.kernels.camera import film_position
 from causticmpi.kernels.jit import inline, kernel
 from causticmpi.kernels.material_kinds import MIRROR
 from causticmpi.scene.data import SceneData
@@ -43,27 +45,11 @@ def lamp_sight(scene: SceneData, camera: np.ndarray, width: int, height: int, si
 
 
 @inline
-def _grow(camera, x, y, z, box):
-    """Let box (least and most x, least and most y) hold the film position in pixels of a point away from the eye."""
-    right, down = camera[2], camera[3]
-    step2 = right[0] * right[0] + right[1] * right[1] + right[2] * right[2]
-    depth = _depth(camera, x, y, z)
-    x, y, z = x / depth - camera[1, 0], y / depth - camera[1, 1], z / depth - camera[1, 2]
-    u = (x * right[0] + y * right[1] + z * right[2]) / step2
-    v = (x * down[0] + y * down[1] + z * down[2]) / step2
-    box[0], box[1] = min(box[0], u), max(box[1], u)
-    box[2], box[3] = min(box[2], v), max(box[3], v)
-
-
-@inline
-def _depth(camera, x, y, z):
-    """Depth along the optical axis of a point away from the eye [scene units]."""
-    right, down = camera[2], camera[3]
-    step2 = right[0] * right[0] + right[1] * right[1] + right[2] * right[2]
-    along = x * (right[1] * down[2] - right[2] * down[1])
-    along += y * (right[2] * down[0] - right[0] * down[2])
-    along += z * (right[0] * down[1] - right[1] * down[0])
-    return along / step2
+def _grow(camera, d, box):
+    """Let box (least and most x, least and most y) hold the film position in pixels of a point d away from the eye."""
+    x, y, _ = film_position(camera, d)
+    box[0], box[1] = min(box[0], x), max(box[1], x)
+    box[2], box[3] = min(box[2], y), max(box[3], y)
 
 
 @kernel
@@ -90,7 +76,7 @@ def _mark(vertices, triangles, spheres, wanted, camera, points, depth, box, mask
                 else:
                     away = spheres[sphere, 3] if (k >> c) & 1 else -spheres[sphere, 3]
                     points[k, c] = spheres[sphere, c] + away - camera[0, c]
-            depth[k] = _depth(camera, points[k, 0], points[k, 1], points[k, 2])
+            _, _, depth[k] = film_position(camera, vec.row(points, k))
         deepest, nearest = depth[0], depth[0]
         for k in range(1, count):
             deepest, nearest = max(deepest, depth[k]), min(nearest, depth[k])
@@ -111,14 +97,14 @@ def _mark(vertices, triangles, spheres, wanted, camera, points, depth, box, mask
         box[0] = box[2] = np.inf
         box[1] = box[3] = -np.inf
         for k in range(count):
+            a = vec.row(points, k)
             if depth[k] >= near:
-                _grow(camera, points[k, 0], points[k, 1], points[k, 2], box)
+                _grow(camera, a, box)
                 continue
             for m in range(count):
                 if depth[m] > near:
                     f = (near - depth[k]) / (depth[m] - depth[k])
-                    a, b = points[k], points[m]
-                    _grow(camera, a[0] + f * (b[0] - a[0]), a[1] + f * (b[1] - a[1]), a[2] + f * (b[2] - a[2]), box)
+                    _grow(camera, vec.along(a, vec.sub(vec.row(points, m), a), f), box)
         left, right = max(0.0, np.floor(box[0] - MARGIN)), min(float(width), np.floor(box[1] + MARGIN) + 1)
         top, bottom = max(0.0, np.floor(box[2] - MARGIN)), min(float(height), np.floor(box[3] + MARGIN) + 1)
         for y in range(int(top), int(bottom)):

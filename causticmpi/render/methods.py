@@ -3,6 +3,7 @@
 A method knows neither clock nor rank; the same seed and pass index give the same samples anywhere.
 """
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -106,7 +107,7 @@ class BruteForce(EyePaths):
 
 
 @dataclass(kw_only=True)
-class VirtualLighting(EyePaths):
+class VirtualLighting(EyePaths, ABC):
     """What the methods of weak singularities share: virtual lights renewed every pass, lamps seen on their own."""
 
     guides: Guides
@@ -146,9 +147,9 @@ class VirtualLighting(EyePaths):
         rays: int = see_lamps(*eye, pixels, self.seed, self.pass_index, film)
         return rays
 
+    @abstractmethod
     def trace_vertices(self, pixels: np.ndarray, film: np.ndarray) -> int:
         """Add what comes from the first non-specular vertices, all but what `see_lamps` adds; returns rays traced."""
-        raise NotImplementedError
 
 
 @dataclass(kw_only=True)

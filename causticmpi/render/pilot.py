@@ -146,7 +146,7 @@ def run_pilot(
     small = msgspec.structs.replace(config, film=small_film(config.film))
     camera = camera_array(data.camera, small.film.width, small.film.height)
 
-    sight = lamp_sight(data, camera, small.film.width, small.film.height, side)
+    sight = lamp_sight(data, camera, small.film.width, small.film.height, side) if side else seen_in_passing()
 
     def try_way(maps: ForecastMaps, guides: Guides, ray: float) -> Trial:
         return _try(make_method(small, scene, camera, maps, extent, guides, sight), small.film, ray)
