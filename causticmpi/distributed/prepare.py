@@ -14,11 +14,11 @@ from causticmpi.output.picture import RELMSE_FLOOR
 from causticmpi.preprocess.aim import emission_aim
 from causticmpi.preprocess.forecast import ClusterStatistics, ForecastMaps, build_forecast, no_forecast
 from causticmpi.preprocess.guides import Guides, learn_guides, no_guides
-from causticmpi.preprocess.lamp_sight import LampSight, seen_in_passing
+from causticmpi.preprocess.lamp_sight import LampSight, lamp_sight, seen_in_passing
 from causticmpi.preprocess.photon_map import PhotonMap, build_photon_map, no_photon_map
 from causticmpi.preprocess.photons import CausticPoints, shoot_photons
 from causticmpi.render.foresight import of_photon_map, of_photons
-from causticmpi.render.methods import FORECASTING, Method, bound_of, make_method
+from causticmpi.render.methods import BY_CHANCE, FORECASTING, Method, bound_of, make_method
 from causticmpi.render.pilot import Plan, find_lamps, needs_pilot, run_pilot
 from causticmpi.scene.content import extent, has_specular
 from causticmpi.scene.data import SceneData
@@ -80,13 +80,15 @@ def prepare_method(
     """Collective. The whole preprocess, and the method on every rank. camera: see kernels.camera."""
     made = prepare_forecast(world, config, scene, watch)
     made.guides = _prepare_guides(world, config, scene, camera, watch)
-    made.sight = _prepare_sight(world, config, scene, camera, watch)
+    small_sight = _look_for_lamps(world, config, scene, watch)
+    side = small_sight.side
     if needs_pilot(config, made.maps):
-        made.plan = _prepare_plan(world, config, scene, made, watch)
+        made.plan = _prepare_plan(world, config, scene, made, small_sight, watch)
         made.guides = made.guides._replace(paths_per_pixel=made.plan.paths_per_pixel)
-        made.sight = made.sight._replace(side=made.plan.sight_side)
+        side = made.plan.sight_side
         if made.plan.plain:
             made.maps = no_forecast()
+    made.sight = _prepare_sight(world, config, scene, camera, side, watch)
     return make_method(config, scene.traced, camera, made.maps, scene.extent, made.guides, made.sight), made
 
 
@@ -95,36 +97,53 @@ def _prepare_guides(
 ) -> Guides:
     """Rank 0 learns where from the lights the picture is lit; path tracing has no use for it."""
     guides = no_guides()
-    if world.is_root and config.method not in ("pt", "pt-brute"):
+    if world.is_root and config.method not in BY_CHANCE:
         film, bound = config.film, bound_of(config, scene.extent)
         with watch.stage("guides"):
             guides = learn_guides(scene.traced, camera, film.width, film.height, config.seed, bound)
     return world.broadcast(guides)
 
 
-def _prepare_sight(
-    world: World, config: RenderConfig, scene: PreparedScene, camera: np.ndarray, watch: Stopwatch
-) -> LampSight:
-    """Rank 0 finds the pixels that may show a lamp; path tracing has no use for it."""
-    if config.method in ("pt", "pt-brute"):
+def _look_for_lamps(world: World, config: RenderConfig, scene: PreparedScene, watch: Stopwatch) -> LampSight:
+    """Rank 0 looks where a small picture shows lamps: its `sight` there, elsewhere lamps are seen in passing."""
+    if not world.is_root or config.method in BY_CHANCE:
         return seen_in_passing()
-    sight = seen_in_passing()
+    with watch.stage("guides"):
+        return find_lamps(scene.data, scene.traced, config.film, config.seed)
+
+
+def _prepare_sight(
+    world: World, config: RenderConfig, scene: PreparedScene, camera: np.ndarray, side: int, watch: Stopwatch
+) -> LampSight:
+    """Rank 0 marks the pixels that may show a lamp, once it is known that there are looks at them.
+
+    side: of the grid of looks at such a pixel, as rank 0 knows it.
+    """
+    side = world.broadcast(side)
+    if side == 0:
+        return seen_in_passing()
+    marked = None
     if world.is_root:
         with watch.stage("guides"):
-            sight = find_lamps(scene.data, scene.traced, camera, config.film, config.seed)
-    mask = world.share({"mask": sight.mask} if world.is_root else None)["mask"]
-    return LampSight(mask, world.broadcast(sight.side))
+            sight = lamp_sight(scene.data, camera, config.film.width, config.film.height, side)
+        marked = {"mask": sight.mask}
+    return LampSight(world.share(marked)["mask"], side)
 
 
 def _prepare_plan(
-    world: World, config: RenderConfig, scene: PreparedScene, made: Forecasting, watch: Stopwatch
+    world: World,
+    config: RenderConfig,
+    scene: PreparedScene,
+    made: Forecasting,
+    small_sight: LampSight,
+    watch: Stopwatch,
 ) -> Plan:
     """Rank 0 finds out which way of sampling pays."""
     plan = None
     if world.is_root:
         with watch.stage("pilot"):
             common = (config, scene.data, scene.traced)
-            plan = run_pilot(*common, made.maps, scene.extent, made.guides, made.sight.side, RELMSE_FLOOR)
+            plan = run_pilot(*common, made.maps, scene.extent, made.guides, small_sight, RELMSE_FLOOR)
     shared: Plan = world.broadcast(plan)
     return shared
 

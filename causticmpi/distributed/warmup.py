@@ -42,7 +42,7 @@ from causticmpi.preprocess.photon_map import PhotonMap, build_photon_map, no_pho
 from causticmpi.preprocess.photons import CausticPoints, shoot_photons
 from causticmpi.render import features, film, precision
 from causticmpi.render.film import Film
-from causticmpi.render.methods import make_method, traces_light
+from causticmpi.render.methods import BY_CHANCE, make_method, traces_light
 from causticmpi.render.pilot import needs_pilot
 from causticmpi.scene.data import SceneData
 from causticmpi.scene.tracing import camera_array
@@ -131,7 +131,7 @@ def warm_up(config: RenderConfig, root: bool, forecasting: bool) -> bool:
     if root:
         features.first_hits(scene.traced, camera, rays, pixels, np.zeros((16, 7), np.float32))
     mapping = config.method == "iws+pm"
-    if root and config.method not in ("pt", "pt-brute"):
+    if root and config.method not in BY_CHANCE:
         learn_guides(scene.traced, camera, 4, 4, 0, 1.0)
         lamp_sight.lamp_sight(scene.data, camera, 4, 4, 1)
     if root and (forecasting or mapping):

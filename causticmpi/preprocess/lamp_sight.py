@@ -23,6 +23,11 @@ class LampSight(NamedTuple):
     mask: Any
     side: int
 
+    @property
+    def in_passing(self) -> bool:
+        """Whether lamps get no looks of their own."""
+        return self.side == 0
+
 
 def seen_in_passing() -> LampSight:
     """No looks for lamps alone."""

@@ -12,7 +12,7 @@ import numpy as np
 from causticmpi.config.records import RenderConfig
 from causticmpi.kernels.material_kinds import MIRROR, PHONG
 from causticmpi.preprocess.directions import NARROWEST
-from causticmpi.render.methods import BIASED, FORECASTING
+from causticmpi.render.methods import BIASED, BY_CHANCE, FORECASTING
 from causticmpi.scene.content import extent, has_specular
 from causticmpi.scene.data import SceneData
 
@@ -88,7 +88,7 @@ def _lights(config: RenderConfig, scene: SceneData) -> Iterator[str]:
     distance = extent(scene) / 2
     share = area / (4 * math.pi * distance**2)
     size = f"a light of {math.sqrt(area):.2g} x {math.sqrt(area):.2g} units in a scene of {2 * distance:.2g}"
-    if config.method in ("pt", "pt-brute") and share < BLIND:
+    if config.method in BY_CHANCE and share < BLIND:
         yield f"{size}: {config.method} meets its caustics by chance, once in {1 / share:.0e} paths; use iws+cf"
     if config.method not in FORECASTING:
         return

@@ -34,6 +34,8 @@ from causticmpi.preprocess.photon_map import PhotonMap
 
 FORECASTING = ("iws+cf",)
 """Methods whose preprocess shoots photons and builds forecast maps."""
+BY_CHANCE = ("pt", "pt-brute")
+"""Methods that meet a light behind specular surfaces by chance alone."""
 BIASED = ("iws+pm",)
 """Methods that do not converge to the true picture: named in every table and file they touch."""
 
@@ -121,7 +123,6 @@ class VirtualLighting(EyePaths, ABC):
     def __post_init__(self) -> None:
         self.rays = ray_buffer()
         self.sight_work = sight_work(self.sight.side)
-        self.in_passing = self.sight.side == 0
         self.peak = most_peak(self.scene)
         self.lights = empty_virtual_lights(8 * self.paths)
 
@@ -141,7 +142,7 @@ class VirtualLighting(EyePaths, ABC):
 
     def see_lamps(self, pixels: np.ndarray, film: np.ndarray) -> int:
         """Add the lamps themselves to L_d where they get looks of their own; returns rays traced."""
-        if self.in_passing:
+        if self.sight.in_passing:
             return 0
         eye = (self.scene, self.camera, self.sight_work, self.sight.mask, self.sight.side)
         rays: int = see_lamps(*eye, pixels, self.seed, self.pass_index, film)
@@ -176,9 +177,9 @@ class WeakSingularities(VirtualLighting):
         eye = (self.scene, self.camera, self.work, pixels, self.seed, self.pass_index)
         light = (self.lights, self.light_count, self.maps, self.few, self.bound)
         if self.mixture:
-            rays, lost = trace_iws_mixture(*eye, *light, self.peak, self.light_paths > 0, self.in_passing, film)
+            rays, lost = trace_iws_mixture(*eye, *light, self.peak, self.light_paths > 0, self.sight.in_passing, film)
         else:
-            rays, lost = trace_iws_cf(*eye, *light, self.peak, self.caustics, self.in_passing, film)
+            rays, lost = trace_iws_cf(*eye, *light, self.peak, self.caustics, self.sight.in_passing, film)
         return none_lost(rays, lost)
 
     def trace_light(self, pass_index: int, first: int, last: int, film: np.ndarray) -> int:
@@ -214,7 +215,7 @@ class PhotonMapping(VirtualLighting):
     def trace_vertices(self, pixels: np.ndarray, film: np.ndarray) -> int:
         eye = (self.scene, self.camera, self.work, pixels, self.seed, self.pass_index)
         light = (self.lights, self.light_count, self.photons, self.few, self.bound)
-        return none_lost(*trace_iws_pm(*eye, *light, self.peak, self.in_passing, film))
+        return none_lost(*trace_iws_pm(*eye, *light, self.peak, self.sight.in_passing, film))
 
 
 def none_lost(rays: int, lost: int) -> int:

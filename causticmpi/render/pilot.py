@@ -138,15 +138,16 @@ def run_pilot(
     maps: ForecastMaps,
     extent: float,
     guides: Guides,
-    side: int,
+    sight: LampSight,
     floor: float,
 ) -> Plan:
-    """Try both ways on the same small picture, of the film's shape, not of its crop's. side: of the grid of looks for
-    lamps; floor: of the relative error."""
+    """Try both ways on the same small picture, of the film's shape, not of its crop's.
+
+    extent: diagonal of the scene [scene units]; sight: by `find_lamps`; floor: of the relative squared error
+    [radiance^2].
+    """
     small = msgspec.structs.replace(config, film=small_film(config.film))
     camera = camera_array(data.camera, small.film.width, small.film.height)
-
-    sight = lamp_sight(data, camera, small.film.width, small.film.height, side) if side else seen_in_passing()
 
     def try_way(maps: ForecastMaps, guides: Guides, ray: float) -> Trial:
         return _try(make_method(small, scene, camera, maps, extent, guides, sight), small.film, ray)
@@ -154,7 +155,7 @@ def run_pilot(
     if not config.forecast.light_tracing:
         guides = guides._replace(paths_per_pixel=0.0)
     forecast = try_way(maps, guides, FORECAST_RAY)
-    return choose(forecast, try_way(no_forecast(), guides, 1.0), guides.paths_per_pixel, side, floor)
+    return choose(forecast, try_way(no_forecast(), guides, 1.0), guides.paths_per_pixel, sight.side, floor)
 
 
 def small_film(film: Film) -> Film:
@@ -163,8 +164,8 @@ def small_film(film: Film) -> Film:
     return Film(width=max(1, int(film.width * shrink)), height=max(1, int(film.height * shrink)))
 
 
-def find_lamps(data: SceneData, scene: TracedScene, camera: np.ndarray, film: Film, seed: int) -> LampSight:
-    """Where the eye may see a lamp, and whether looks at a small picture see one; else lamps are seen in passing."""
+def find_lamps(data: SceneData, scene: TracedScene, film: Film, seed: int) -> LampSight:
+    """Where the eye may see a lamp in the small picture of a film; in passing if looks at it see none."""
     small = small_film(film)
     eye = camera_array(data.camera, small.width, small.height)
     sight = lamp_sight(data, eye, small.width, small.height, SIGHT_SIDE)
@@ -172,9 +173,7 @@ def find_lamps(data: SceneData, scene: TracedScene, camera: np.ndarray, film: Fi
     pixels, work = pixel_order(small.window, small.width), sight_work(SIGHT_SIDE)
     for index in range(FIRST_PASS, FIRST_PASS + LOOKS):
         see_lamps(scene, eye, work, *sight, pixels, seed, index, seen)
-    if not seen.any():
-        return seen_in_passing()
-    return lamp_sight(data, camera, film.width, film.height, SIGHT_SIDE)
+    return sight if seen.any() else seen_in_passing()
 
 
 def choose(forecast: Trial, plain: Trial, paths_per_pixel: float, side: int, floor: float) -> Plan:
