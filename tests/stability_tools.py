@@ -32,15 +32,15 @@ def measured(label: str, method: str, mean: float = 1.0, noise: float = 0.1, see
 
 
 def measured_passes(label: str, method: str, pictures: np.ndarray, **more: object) -> Measured:
-    """What `measure` makes of passes (PASSES, 8, 8, 3)."""
-    passes = pictures.reshape(PASSES, 4, 2, 4, 2, 3).mean(axis=(2, 4)).reshape(PASSES, -1)
+    """What `measure` makes of passes (n, 8, 8, 3)."""
+    passes = pictures.reshape(-1, 4, 2, 4, 2, 3).mean(axis=(2, 4)).reshape(len(pictures), -1)
     blocks = passes.reshape(BATCHES, -1, 48).mean(axis=1)
     pictures = pictures.reshape(BATCHES, -1, 8, 8, 3).mean(axis=1)
     plain = {
         "label": label, "biased": False, "passes": BATCHES, "seconds": 1.0, "preprocess": 0.0,
         "rays": 1000, "slowest": 1.0, "memory_mb": 100.0, "nonfinite": 0, "rgb": pictures.mean(axis=0),
         "variance": pictures.var(axis=0, ddof=1) / BATCHES, "blocks": blocks,
-        "hits": fewest_hits(passes.reshape(PASSES, 16, 3).sum(axis=2)), "caustic": 0.1, "brightest": 0.5,
+        "hits": fewest_hits(passes.reshape(-1, 16, 3).sum(axis=2)), "caustic": 0.1, "brightest": 0.5,
         "radius": 0.1, "bound": 1.0, "seed": 7, "by_chance": method == "pt",
     }  # fmt: skip
     return Measured(**{**plain, **more})

@@ -49,6 +49,18 @@ def test_a_slow_first_pass_has_no_say_in_how_many_follow(monkeypatch: pytest.Mon
     assert cell.passes_within(bench, 4.0) == pytest.approx(40)  # type: ignore[arg-type]
 
 
+def test_measured_again_by_other_passes_of_the_same_seed(tmp_path: Path) -> None:
+    made = page(
+        side=8, batch_passes=2, batches=8, sweep={"parameter": "iws.paths", "name": "paths", "values": [8, 16]},
+        contenders=[{"label": "cf", "set": {"method": "iws+cf", "forecast.photons": 300, "forecast.clusters": 4}}],
+        baseline=None,
+    )  # fmt: skip
+    (first,) = sweep.measure_point(made, tmp_path, tmp_path, 1, 1.0, 1).found
+    again = sweep.measure_again(made, tmp_path, tmp_path, sweep.CellKey(1, 1, "cf"), 1.0)
+    assert again.again and not first.again and again.label == "cf" and again.seed == first.seed == 2001
+    assert again.passes == 8 * first.passes and not np.isin(again.blocks, first.blocks).any()
+
+
 def test_photons_that_are_no_numbers_are_refused_others_taken(tmp_path: Path) -> None:
     made = page(
         sweep={"parameter": "photons", "name": "lie", "values": list(LIES)}, side=8, batch_passes=2, batches=8,

@@ -89,6 +89,6 @@ def test_a_long_cell_does_not_start_last(tmp_path: Path) -> None:
 
 def test_pages_of_one_scene_share_their_rivals(tmp_path: Path) -> None:
     tasks = {loaded.name: _tasks(loaded, tmp_path, 1.0, 1)[-1] for loaded in read_pages(PAGES)}
-    assert tasks["bound"].same and tasks["bound"].same == tasks["clusters"].same == tasks["table"].same
-    assert len({tasks[name].same for name in ("bound", "photons", "lies", "pm_radius")}) == 4
-    assert tasks["ior"].same is None
+    assert tasks["bound"].key and tasks["bound"].key == tasks["clusters"].key == tasks["table"].key
+    assert len({tasks[name].key for name in ("bound", "photons", "lies", "pm_radius")}) == 4
+    assert tasks["ior"].key is None

@@ -21,15 +21,15 @@ from causticmpi.kernels.pixels import pixel_order
 from causticmpi.preprocess.forecast import ForecastMaps, build_forecast
 from causticmpi.preprocess.photons import shoot_photons
 from causticmpi.render.foresight import of_scene
-from causticmpi.render.methods import BIASED, FORECASTING, Method, automatic_bound, make_method, whole_pass
+from causticmpi.render.methods import BIASED, BY_CHANCE, FORECASTING, Method, automatic_bound, make_method, whole_pass
 from causticmpi.render.rounds import PILOT_PASS
 from causticmpi.scene.data import SceneData
 from causticmpi.scene.load import load_scene
 from causticmpi.scene.tracing import camera_array
 from causticmpi.stability.lies import LIES
 
-BY_CHANCE = ("pt", "pt-brute")
-"""Methods that meet a light behind specular surfaces by chance alone."""
+FAR_PASS = 2**41
+"""Neither a run nor its pilot gets as far: from here on the passes are others than theirs."""
 BLOCKS = 4
 """Squares along a side of the film whose means are compared: few, so that rare bright paths even out in each."""
 
@@ -43,7 +43,7 @@ class Measured:
     CPU time of tracing, `preprocess` apart; slowest: the longest pass over the mean one; brightest: largest radiance
     of a light; radius: the search radius used (nan: none); bound: what `auto` means for b; seed: of its config;
     by_chance: whether it meets lights behind specular surfaces by chance alone; warnings: that a run would give
-    beforehand.
+    beforehand; again: whether this is a second measurement, for the mean of a first one was wrong.
     """
 
     label: str
@@ -66,6 +66,7 @@ class Measured:
     seed: int
     by_chance: bool = False
     warnings: tuple[str, ...] = ()
+    again: bool = False
 
     @property
     def pass_seconds(self) -> float:
@@ -182,29 +183,42 @@ def passes_within(bench: Bench, seconds: float) -> float:
     return seconds / max(min(costs), 1e-6)
 
 
-def measure(bench: Bench, label: str, passes: int, batches: int) -> Measured:
+@dataclass
+class _Tally:
+    """What passes cost. rays: traced; nonfinite: samples; seconds, slowest: CPU time of all, of the longest."""
+
+    rays: int = 0
+    nonfinite: int = 0
+    seconds: float = 0.0
+    slowest: float = 0.0
+
+
+def _trace(bench: Bench, index: int, film: np.ndarray, tally: _Tally) -> None:
+    """One pass alone in `film` (slots, 6), 0 where it is not finite."""
+    film[:] = 0
+    began = time.process_time()
+    tally.rays += bench.add_pass(index, film)
+    seconds = time.process_time() - began
+    tally.seconds, tally.slowest = tally.seconds + seconds, max(tally.slowest, seconds)
+    bad = ~np.isfinite(film).all(axis=1)
+    tally.nonfinite += int(bad.sum())
+    film[bad] = 0
+
+
+def measure(bench: Bench, label: str, passes: int, batches: int, first_pass: int = 0) -> Measured:
     """Independent batches of `passes` passes each."""
-    film = bench.config.film
-    shape = (film.height, film.width)
-    side = max(1, film.height // BLOCKS)
-    slots = film.height * film.width
-    one = np.zeros((slots, 6), np.float32)
+    shape = (bench.config.film.height, bench.config.film.width)
+    side = max(1, shape[0] // BLOCKS)
+    film = np.zeros((shape[0] * shape[1], 6), np.float32)
     means = np.zeros((batches, *shape, 3))
     squares = []  # by pass: a few batches are too few values to show a skew
-    caustic, rays, nonfinite, slowest, spent = 0.0, 0, 0, 0.0, 0.0
+    caustic, tally = 0.0, _Tally()
     for b in range(batches):
-        total = np.zeros((slots, 6))
+        total = np.zeros(film.shape)
         for i in range(passes):
-            one[:] = 0
-            began = time.process_time()
-            rays += bench.add_pass(b * passes + i, one)
-            cost = time.process_time() - began
-            spent, slowest = spent + cost, max(slowest, cost)
-            bad = ~np.isfinite(one).all(axis=1)
-            nonfinite += int(bad.sum())
-            one[bad] = 0
-            total += one
-            squares.append(block_means(one.sum(axis=1, dtype=np.float64).reshape(*shape, 1), side))
+            _trace(bench, first_pass + b * passes + i, film, tally)
+            total += film
+            squares.append(block_means(film.sum(axis=1, dtype=np.float64).reshape(*shape, 1), side))
         total /= passes
         means[b] = (total[:, :3] + total[:, 3:]).reshape(*shape, 3)
         caustic += float(total[:, 3:].mean()) / batches
@@ -212,12 +226,12 @@ def measure(bench: Bench, label: str, passes: int, batches: int) -> Measured:
         label=label,
         biased=bench.config.method in BIASED,
         passes=batches * passes,
-        seconds=spent,
+        seconds=tally.seconds,
         preprocess=bench.preprocess,
-        rays=rays,
-        slowest=slowest * batches * passes / max(spent, 1e-9),
+        rays=tally.rays,
+        slowest=tally.slowest * batches * passes / max(tally.seconds, 1e-9),
         memory_mb=peak_memory_mb(),
-        nonfinite=nonfinite,
+        nonfinite=tally.nonfinite,
         rgb=means.mean(axis=0),
         variance=means.var(axis=0, ddof=1) / batches,
         blocks=np.array([block_means(mean, side) for mean in means]),

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import uniform_filter
 
+from causticmpi.compare.metrics import TRIMMED_SHARE
 from causticmpi.compare.statistics import FEW_HITS, agreement
 from causticmpi.output.picture import RELMSE_FLOOR
 from causticmpi.render.foresight import TOO_FAR
@@ -22,8 +23,6 @@ SHARE_OF_LIGHT = 0.3
 """Of the light's radiance in a pixel that one such hit brings: albedo and Fresnel losses."""
 SMOOTHING = 3
 """Pixels: side of the square over which signed errors are averaged."""
-TRIMMED = 1e-3
-"""Share of the pixels, the worst, that a trimmed error leaves out."""
 LOSS = 1.05
 """A contender whose error is this many times the baseline's has lost to it."""
 
@@ -91,35 +90,36 @@ def _mean_picture(measured: Sequence[Measured]) -> np.ndarray:
 def _row(
     page: Page, value: Value, x: float, m: Measured, picture: np.ndarray, rival: Measured | None, caustic: float
 ) -> Row:
+    """picture: what errors are relative to; rival: whom it is held against, unless the page knows the radiance."""
     weight = 1 / (picture**2 + RELMSE_FLOOR)
-    own = (m.variance * weight).mean(axis=-1)
+    errors = (m.variance * weight).mean(axis=-1)
     left = page.equal_time - m.preprocess
+    relmse = float(errors.mean()) * m.seconds / left if left > m.pass_seconds else math.inf
     bias, signed = math.nan, None
     if m.biased and rival is not None:
         signed = uniform_filter(((m.rgb - rival.rgb) * np.sqrt(weight)).mean(axis=-1), SMOOTHING, mode="nearest")
         bias = float((((m.rgb - rival.rgb) ** 2 - m.variance - rival.variance) * weight).mean())
-    relmse = float(own.mean()) * m.seconds / left if left > m.pass_seconds else math.inf
+    test, against = _Test(), ""
     if page.truth.exact is not None:
-        test, against = _against(m.blocks, np.full((2, m.blocks.shape[1]), page.truth.exact)), f"{page.truth.exact:g}"
-        rival = None
+        rival, against = None, f"{page.truth.exact:g}"
+        test = _test(m.blocks, np.full((2, m.blocks.shape[1]), page.truth.exact))
     elif rival is not None:
-        test, against = _against(m.blocks, rival.blocks), rival.label
-    else:
-        test, against = _Test(), ""
+        test, against = _test(m.blocks, rival.blocks), rival.label
     return Row(
         value=value, x=x, label=m.label, biased=m.biased, seed=m.seed,
         relmse=relmse + max(0.0, bias if m.biased else 0.0), bias=bias,
-        share=float(own.max() / max(own.sum(), 1e-300)), fireflies=_fireflies(own),
+        share=float(errors.max() / max(errors.sum(), 1e-300)), fireflies=_fireflies(errors),
         p=test.p, whole=test.whole, difference=test.difference, resolution=test.resolution,
         passes=m.passes, pass_seconds=m.pass_seconds, preprocess=m.preprocess,
         rays=m.rays / m.samples, slowest=m.slowest, memory_mb=m.memory_mb, caustic=m.caustic,
-        verdict=_failed(page, m, test, rival, caustic), against=against, rgb=m.rgb.astype(np.float32), signed=signed,
-        warnings=m.warnings,
+        verdict=_verdict(page, m, test, rival, caustic), against=against, rgb=m.rgb.astype(np.float32), signed=signed,
+        warnings=m.warnings, again=m.again,
     )  # fmt: skip
 
 
 def _fireflies(errors: np.ndarray) -> float:
-    kept = np.sort(errors, axis=None)[: -max(1, round(TRIMMED * errors.size))]
+    """The mean error of (H, W) over that without the worst pixels."""
+    kept = np.sort(errors, axis=None)[: -max(1, round(TRIMMED_SHARE * errors.size))]
     return float(errors.mean() / max(kept.mean(), 1e-300)) if len(kept) else math.nan
 
 
@@ -134,7 +134,7 @@ class _Test:
     resolution: float = math.nan
 
 
-def _failed(page: Page, m: Measured, test: _Test, rival: Measured | None, caustic: float) -> Verdict:
+def _verdict(page: Page, m: Measured, test: _Test, rival: Measured | None, caustic: float) -> Verdict:
     """What failed. rival: whom it was held against, None: a known radiance, or nobody."""
     if m.nonfinite:
         return Verdict(Kind.NONFINITE, f"{m.nonfinite} non-finite samples")
@@ -160,8 +160,9 @@ def _failed(page: Page, m: Measured, test: _Test, rival: Measured | None, causti
     return FINE
 
 
-def _against(found: np.ndarray, truth: np.ndarray) -> _Test:
-    verdict = agreement(*(np.column_stack([blocks, blocks.mean(axis=1)]) for blocks in (found, truth)))
+def _test(found: np.ndarray, truth: np.ndarray) -> _Test:
+    """Of the means of squares, (batches, k) each, and of the whole picture's."""
+    tested = agreement(*(np.column_stack([blocks, blocks.mean(axis=1)]) for blocks in (found, truth)))
     a, b = found.mean(axis=1), truth.mean(axis=1)
     deviation = math.sqrt(a.var(ddof=1) / len(a) + b.var(ddof=1) / len(b))
     difference = float(a.mean() - b.mean())
@@ -170,7 +171,7 @@ def _against(found: np.ndarray, truth: np.ndarray) -> _Test:
         whole = difference / deviation
     else:
         whole = 0.0 if difference == 0 else math.inf
-    return _Test(verdict.p, verdict.p_above, difference / scale, whole, deviation / scale)
+    return _Test(tested.p, tested.p_above, difference / scale, whole, deviation / scale)
 
 
 def with_losses(rows: Sequence[Row], baseline: str | None) -> list[Row]:

@@ -7,10 +7,9 @@ from pathlib import Path
 
 from causticmpi import __version__
 from causticmpi.compare import tables
-from causticmpi.compare.page import Image, Section, page
+from causticmpi.compare.page import Image, Section, page, save, save_apart
 from causticmpi.compare.tables import Table
 from causticmpi.errors import InputError
-from causticmpi.output.directory import write_whole
 from causticmpi.stability import seeds, sweep
 from causticmpi.stability.records import Page
 
@@ -43,13 +42,13 @@ class Finding:
 @dataclass(frozen=True)
 class Making:
     """How a report is made. version: of the program, when it began; command: that makes it anew; scale: of CPU times;
-    turns: seeds; seconds: of wall clock."""
+    repeats: of each sweep, by other seeds; seconds: of wall clock."""
 
     version: str
     command: str
     scale: float
     processes: int
-    turns: int
+    repeats: int
     seconds: float
 
 
@@ -59,28 +58,23 @@ def write(out: Path, findings: Sequence[Finding], made: Making) -> None:
     costs = Table(
         "costs", "What each page costs", ("page", "CPU seconds"), tuple((f.name, f"{f.seconds:.0f}") for f in findings)
     )
+    sections = [_section(finding) for finding in findings]
+    save_apart(out, sections)
     markdown = [f"# {TITLE}", ""]
-    sections = []
-    for finding in findings:
-        section = _section(finding)
-        sections.append(section)
+    for section in sections:
         markdown += [f"## {section.title}", "", *(text + "\n" for text in section.paragraphs)]
-        for item in section.content:
-            if isinstance(item, Image):
-                _save(out / "figures" / f"{item.name}.{item.suffix}", item.data)
-            else:
-                markdown.append(tables.to_markdown(item))
-                _save(out / "tables" / f"{item.name}.csv", tables.to_csv(item).encode())
-    _save(out / TABLES, "\n".join(markdown).encode())
-    _save(out / VERDICTS, as_markdown(findings, made).encode())
+        markdown += [tables.to_markdown(item) for item in section.content if isinstance(item, Table)]
+    save(out / TABLES, "\n".join(markdown).encode())
+    save(out / VERDICTS, as_markdown(findings, made).encode())
     whole = [Section("Verdicts", [], [summary, costs]), *sections]
     introduction = [
         _how(made),
         "Each contender has the same CPU time in each cell, in independent batches; seeds are 1, 2, … for contenders, "
-        f"{sweep.NEXT_SEED} more for each further seed of a page, and 1001, 1002, … for the rivals they are tested "
-        "against. Verdicts are formed from the figures below them.",
+        f"{sweep.REPEAT_SEEDS} more for each further repeat of a page, and {sweep.RIVAL_SEED}, … for the rivals they "
+        "are tested against. A contender whose mean fails is measured once more, by other passes in "
+        f"{sweep.AGAIN:g} times the time, and judged by those alone. Verdicts are formed from the figures below them.",
     ]
-    _save(out / HTML, page(TITLE, introduction, whole).encode())
+    save(out / HTML, page(TITLE, introduction, whole).encode())
 
 
 def _section(finding: Finding) -> Section:
@@ -93,13 +87,13 @@ def _section(finding: Finding) -> Section:
 def _how(made: Making) -> str:
     seconds = f"{made.seconds / 60:.0f} minutes" if made.seconds >= 120 else f"{made.seconds:.0f} s"
     return (
-        f"causticmpi {made.version}, {made.processes} processes on {_machine()}, {seconds}, {_seeds(made.turns)}, CPU "
-        f"times times {made.scale:g}. Made anew by: {made.command}"
+        f"causticmpi {made.version}, {made.processes} processes on {_machine()}, {seconds}, {_seeds(made.repeats)}, "
+        f"CPU times times {made.scale:g}. Made anew by: {made.command}"
     )
 
 
-def _seeds(turns: int) -> str:
-    last = f" to {1 + (turns - 1) * sweep.NEXT_SEED}" if turns > 1 else ""
+def _seeds(repeats: int) -> str:
+    last = f" to {1 + (repeats - 1) * sweep.REPEAT_SEEDS}" if repeats > 1 else ""
     return f"seeds from {sweep.SEED}{last}, rivals' from {sweep.RIVAL_SEED}"
 
 
@@ -128,7 +122,7 @@ def _machine() -> str:
 def as_markdown(findings: Sequence[Finding], made: Making) -> str:
     """What a document holds: of several seeds the claims, else all verdicts."""
     lines = [_how(made).replace(made.command, f"`{made.command}`") + ".", ""]
-    if made.turns > 1:
+    if made.repeats > 1:
         lines += [seeds.markdown([(f.name, f.page, f.cells) for f in findings]), ""]
     rows = [("page", "question", "verdict", "means", "CPU s"), ("---",) * 5]
     rows += [(f"`{f.name}`", f.page.question, f.found, f.means, f"{f.seconds:.0f}") for f in findings]
@@ -136,27 +130,22 @@ def as_markdown(findings: Sequence[Finding], made: Making) -> str:
     return "\n".join([*lines, *("| " + " | ".join(t.replace("|", "\\|") for t in row) + " |" for row in rows), ""])
 
 
-def _marks(made_of: int) -> tuple[str, str]:
-    """Lines of a document around what `write_into` puts there. made_of: seeds."""
-    name = "verdicts" if made_of == 1 else "seeds"
+def _marks(repeats: int) -> tuple[str, str]:
+    """Lines of a document around what `write_into` puts there. repeats: of each sweep."""
+    name = "verdicts" if repeats == 1 else "seeds"
     return f"<!-- {name}: by scripts/stability --docs -->\n", f"<!-- end of {name} -->\n"
 
 
-def check_place(document: Path, turns: int) -> None:
+def check_place(document: Path, repeats: int) -> None:
     """Raises InputError for a document without the marks that `write_into` needs."""
-    for mark in _marks(turns):
+    for mark in _marks(repeats):
         if not document.is_file() or mark not in document.read_text():
-            raise InputError(f"--docs: found no line {mark.strip()} in {document}; needed: the lines {_marks(turns)}")
+            raise InputError(f"--docs: found no line {mark.strip()} in {document}; needed: the lines {_marks(repeats)}")
 
 
 def write_into(document: Path, findings: Sequence[Finding], made: Making) -> None:
     """Put `as_markdown` between the marks of a document, in place of what is there."""
-    begin, end = _marks(made.turns)
+    begin, end = _marks(made.repeats)
     before, _, rest = document.read_text().partition(begin)
     _, _, after = rest.partition(end)
-    _save(document, f"{before}{begin}\n{as_markdown(findings, made)}\n{end}{after}".encode())
-
-
-def _save(path: Path, data: bytes) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, lambda file: file.write_bytes(data))
+    save(document, f"{before}{begin}\n{as_markdown(findings, made)}\n{end}{after}".encode())

@@ -35,7 +35,7 @@ class Kind(enum.IntEnum):
     NONFINITE = enum.auto()
     """Samples that are no numbers."""
     WRONG = enum.auto()
-    """The test of its mean failed."""
+    """The test of its mean failed, in a second measurement as well."""
 
 
 class Verdict(NamedTuple):
@@ -58,8 +58,9 @@ class Row:
     ones; p: of the test against the truth (nan: not tested); whole: z of the picture's mean; difference: relative,
     of the means; resolution: relative standard error of that difference; pass_seconds, preprocess: CPU seconds; rays:
     per sample; slowest: the longest pass over the mean one; caustic: mean luminance of L_c; verdict: what failed;
-    against: whom or what it was held against; warnings: given beforehand; rgb (H, W, 3): its picture; signed (H, W):
-    smoothed relative error of biased ones.
+    against: whom or what it was held against; warnings: given beforehand; again: whether it is of a second measurement,
+    as the mean of the first was wrong; rgb (H, W, 3): its picture; signed (H, W): smoothed relative error of biased
+    ones.
     """
 
     value: Value
@@ -85,6 +86,7 @@ class Row:
     verdict: Verdict = FINE
     against: str = ""
     warnings: tuple[str, ...] = ()
+    again: bool = False
     rgb: np.ndarray | None = None
     signed: np.ndarray | None = None
 

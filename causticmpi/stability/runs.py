@@ -12,15 +12,15 @@ from causticmpi.distributed.until import Until
 from causticmpi.output.picture import RELMSE_FLOOR, estimated_relmse
 from causticmpi.render.film import Film, quantum_for, resolve
 from causticmpi.render.precision import Precision
-from causticmpi.stability.cell import Bench, config_for, set_up
+from causticmpi.stability.cell import FAR_PASS, Bench, config_for, set_up
 from causticmpi.stability.records import Contender, Page
 
 TRUE_WITHIN = 1.25
 """Factor within which an estimated error is called accurate."""
 TARGET_FACTOR = 1.5
 """The error that `until` runs aim at is that of page.passes passes, times this."""
-TRUTH_PASS = 1 << 40
-"""Number of the first pass of their truth: none that a run has."""
+LONGEST_STOP = 8
+"""A run is given up after this many times page.passes passes."""
 FEWEST_RUNS = 8
 
 
@@ -60,7 +60,7 @@ class Coverage:
 
 def coverage(page: Page, contender: Contender, file: Path, scale: float) -> Coverage:
     """Independent runs of equally many passes; the truth of each is the mean of all the others."""
-    runs = _count(page, scale)
+    runs = _run_count(page, scale)
     bench = set_up(file, config_for(page.side, 1, {**page.set, **contender.set}))
     pictures, own, estimated, factors = [], [], [], []
     for run in range(runs):
@@ -73,7 +73,8 @@ def coverage(page: Page, contender: Contender, file: Path, scale: float) -> Cove
         pictures.append(rgb)
         own.append(estimated_relmse(rgb, variance))
         error, factor = precision.known or (math.nan, math.nan)
-        estimated.append(error * sum((*precision.passes, precision.first)) / film.passes)
+        # Known of the passes up to the end of the last group: of all, as the error falls with their number.
+        estimated.append(error * (precision.first + sum(precision.passes)) / film.passes)
         factors.append(factor)
     bench.close()
     return Coverage(
@@ -110,19 +111,15 @@ class Stops:
     naive_z: float
 
 
-LONGEST_STOP = 8
-"""A run is given up after this many times page.passes passes."""
-
-
 def stops(page: Page, contender: Contender, file: Path, scale: float) -> Stops:
     """Runs with a wanted error: a pilot finds one that takes about page.passes passes; truth from longer runs."""
-    runs = _count(page, scale)
+    runs = _run_count(page, scale)
     bench = set_up(file, config_for(page.side, 1, {**page.set, **contender.set}))
     quantum = quantum_for(bench.scene.brightest)
     truth_film = Film(page.side**2, quantum)
     truth_passes = runs * page.passes
     for i in range(truth_passes):
-        _add(bench, truth_film, TRUTH_PASS + i)
+        _add(bench, truth_film, FAR_PASS + i)
     truth, variance = _resolved(truth_film)
     target = estimated_relmse(truth, variance) * truth_passes / page.passes * TARGET_FACTOR
     weight = 1 / (truth**2 + RELMSE_FLOOR)
@@ -136,7 +133,7 @@ def stops(page: Page, contender: Contender, file: Path, scale: float) -> Stops:
     goal = float((truth * weight).mean())
     passes, actual, means = np.array(ended).T
     naive_passes, naive_means = np.array(naive).T
-    # The truth's own error, as that of a run with its number of passes.
+    # The truth is as good as one run of its number of passes.
     share = math.sqrt(1 / runs + float(passes.mean()) / truth_passes)
     return Stops(
         contender.label, target, passes, actual, *_deviation(means, goal, share), naive_passes,
@@ -144,11 +141,12 @@ def stops(page: Page, contender: Contender, file: Path, scale: float) -> Stops:
     )  # fmt: skip
 
 
-def _count(page: Page, scale: float) -> int:
+def _run_count(page: Page, scale: float) -> int:
     return max(FEWEST_RUNS, round(page.runs * min(1.0, scale)))
 
 
 def _deviation(means: np.ndarray, goal: float, share: float) -> tuple[float, float]:
+    """Of the runs' mean from `goal`: relative, and in standard errors. share: such an error over a run's deviation."""
     difference = float(means.mean()) - goal
     return difference / goal, difference / max(float(means.std(ddof=1)) * share, 1e-300)
 

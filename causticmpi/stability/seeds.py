@@ -24,9 +24,6 @@ ENOUGH = 0.95
 KEPT = 0.9
 """Of the efficiency of the best fixed setting."""
 
-Turn = Sequence[Row]
-"""All rows of a page by one seed."""
-
 
 @dataclass(frozen=True)
 class Ratio:
@@ -59,11 +56,11 @@ class Ratio:
         return "holds" if low >= self.wanted else "FAILS" if high < self.wanted else "open"
 
 
-def pooled(page: Page, turns: Sequence[Turn]) -> list[Row]:
+def pooled(page: Page, by_seed: Sequence[Sequence[Row]]) -> list[Row]:
     """One row for each cell: that of the seed with the worst verdict, the first of equals, but for the error, which is
     the mean over seeds. Whether it loses to the baseline goes by that mean.
     """
-    rows = [_pooled([turn[i] for turn in turns]) for i in range(len(turns[0]))]
+    rows = [_pooled(cell) for cell in zip(*by_seed, strict=True)]
     return [row for _, cell in groupby(rows, key=lambda row: row.value) for row in with_losses([*cell], page.baseline)]
 
 
@@ -74,12 +71,11 @@ def _pooled(rows: Sequence[Row]) -> Row:
 
 
 def ratio(over: Sequence[Row], of: Sequence[Row], wanted: float) -> Ratio:
-    """Efficiency of `of` over that of `over`, rows of one cell by seed."""
-    a, b = (np.array([row.relmse for row in rows]) for rows in (over, of))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        each = a / b
-        trimmed = each * [y.fireflies / x.fireflies for x, y in zip(over, of, strict=True)]
-    logs = interval(np.log(each[np.isfinite(each) & (each > 0)]))
+    """Efficiency of `of` over that of `over`, rows of one cell by seed, their errors finite and not 0."""
+    theirs, own = (np.array([row.relmse for row in rows]) for rows in (over, of))
+    each = theirs / own
+    trimmed = each * [mine.fireflies / other.fireflies for mine, other in zip(of, over, strict=True)]
+    logs = interval(np.log(each))
     return Ratio(
         over=over[0].label,
         wanted=wanted,
@@ -89,7 +85,7 @@ def ratio(over: Sequence[Row], of: Sequence[Row], wanted: float) -> Ratio:
         least=float(each.min()),
         below=int((each < wanted).sum()),
         count=len(each),
-        of_means=float(a.mean() / b.mean()),
+        of_means=float(theirs.mean() / own.mean()),
         trimmed=float(np.exp(np.log(trimmed).mean())),
         blind=any(not row.trusted for row in (*over, *of)),
     )
@@ -100,22 +96,22 @@ class Cell:
     """The claim in one cell. fireflies: median of the claimant's error over its trimmed one."""
 
     value: str
-    plain: Ratio
+    base: Ratio
     best: Ratio
     fireflies: float
 
 
-def cells(page: Page, claim: Claim, turns: Sequence[Turn]) -> list[Cell]:
+def cells(page: Page, claim: Claim, by_seed: Sequence[Sequence[Row]]) -> list[Cell]:
     """All cells of the page. The best fixed setting is that of the least mean error over all seeds, blind ones left
     out."""
     assert page.sweep is not None and page.baseline is not None
     made = []
     for value in page.sweep.values:
         by_label = {
-            label: [row for turn in turns for row in turn if row.label == label and row.value == value]
+            label: [row for rows in by_seed for row in rows if row.label == label and row.value == value]
             for label in (claim.of, page.baseline, *claim.fixed)
         }
-        if any(not math.isfinite(row.relmse) for rows in by_label.values() for row in rows):
+        if any(not 0 < row.relmse < math.inf for rows in by_label.values() for row in rows):
             continue  # refused, or never begun: named among the cells that fail
         known = [label for label in claim.fixed if all(row.trusted for row in by_label[label])] or claim.fixed
         best = min(known, key=lambda label: float(np.mean([row.relmse for row in by_label[label]])))
@@ -135,7 +131,7 @@ def table(name: str, page: Page, claim: Claim, found: Sequence[Cell], seeds: int
     """The claim in every cell. seeds: how many."""
     assert page.sweep is not None
     rows = [
-        (cell.value, *_figures(cell.plain), cell.best.over, *_figures(cell.best), number(cell.fireflies))
+        (cell.value, *_figures(cell.base), cell.best.over, *_figures(cell.best), number(cell.fireflies))
         for cell in found
     ]
     columns = (
@@ -167,7 +163,7 @@ def said(page: Page, claim: Claim, found: Sequence[Cell], seeds: int) -> str:
     """One sentence: where the claim holds, is open or fails. seeds: how many."""
     parts = []
     for name, wanted, ratios in (
-        (str(page.baseline), ENOUGH, [(cell.value, cell.plain) for cell in found]),
+        (str(page.baseline), ENOUGH, [(cell.value, cell.base) for cell in found]),
         ("the best fixed setting", KEPT, [(cell.value, cell.best) for cell in found]),
     ):
         held = sum(r.verdict == "holds" for _, r in ratios)
@@ -190,10 +186,10 @@ def markdown(pages: Sequence[tuple[str, Page, Sequence[Cell]]]) -> str:
         f"below {KEPT}", "claim", "error / trimmed",
     )  # fmt: skip
     rows = [columns, ("---",) * len(columns)]
-    for name, page, cells in pages:
-        for cell in cells:
+    for name, page, found in pages:
+        for cell in found:
             assert page.sweep is not None
-            plain, best = cell.plain, cell.best
+            plain, best = cell.base, cell.best
             rows.append((
                 f"`{name}`", f"{page.sweep.name} {cell.value}", f"{page.baseline}: {_spread(plain)}",
                 f"{plain.below} of {plain.count}", plain.verdict, f"{best.over}: {_spread(best)}",

@@ -12,6 +12,7 @@ from causticmpi.compare.tables import NOTHING, Table, number
 from causticmpi.output.png import srgb_bytes
 from causticmpi.stability.records import Page
 from causticmpi.stability.row import Kind, Row
+from causticmpi.stability.sweep import AGAIN
 from causticmpi.stability.verdicts import shown
 
 if TYPE_CHECKING:
@@ -48,7 +49,8 @@ def table(name: str, page: Page, rows: Sequence[Row]) -> Table:
         f"relMSE: what {page.equal_time:g} CPU seconds would leave, preprocess included, from the variance over "
         f"{page.batches} batches; biased methods add their squared bias. p: Welch's t-test of the mean and 48 means of "
         "squares, Sidak-corrected; resolution: standard error of the difference of the pictures' means. WRONG: the "
-        "test fails. Blind: some mean is too low (or the light is met by chance), none too high, and the picture is "
+        f"test fails, and fails again for other passes in {AGAIN:g} times the CPU time, whose figures then stand here. "
+        "Blind: some mean is too low (or the light is met by chance), none too high, and the picture is "
         f"made of so few rare hits (their number; below {FEW_HITS}) that neither mean nor error can be believed. Of "
         "several seeds: relMSE is the mean over all, the rest is of the seed named, that of the worst verdict.",
     )

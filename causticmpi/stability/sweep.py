@@ -1,7 +1,7 @@
 """A page's cells: one parameter over values, all contenders at each, and the rivals they are held against."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,16 +11,21 @@ import numpy as np
 
 from causticmpi.errors import InputError
 from causticmpi.scene.load import load_scene
-from causticmpi.stability.cell import Measured, config_for, measure, passes_within, set_up
+from causticmpi.stability.cell import FAR_PASS, Measured, config_for, measure, passes_within, set_up
 from causticmpi.stability.judge import judge, seen_caustic
 from causticmpi.stability.lies import LIES
 from causticmpi.stability.records import Contender, Page, Sweep, Value
-from causticmpi.stability.row import Row, refused
+from causticmpi.stability.row import Kind, Row, refused
 from causticmpi.stability.scenes import build, write_scene
 
 RIVAL_SECONDS, COMMON_RIVAL_SECONDS = 2.0, 8.0
 """A rival gets this many times the CPU time of a contender, more where it serves all cells of a page."""
-SEED, RIVAL_SEED, NEXT_SEED = 1, 1001, 2000
+AGAIN = 8.0
+"""A contender whose mean fails its test is measured once more, in this many times the CPU time."""
+SEED, RIVAL_SEED = 1, 1001
+"""Of the first contender and of the first rival; the second ones have the next, and so on."""
+REPEAT_SEEDS = 2000
+"""What each further repeat of a page adds to its seeds."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +39,15 @@ class Point:
     refusal: str = ""
 
 
+@dataclass(frozen=True)
+class CellKey:
+    """Where a contender was measured. repeat: number of the page's repeat; index: of the value of the sweep."""
+
+    repeat: int
+    index: int
+    label: str
+
+
 def rivals_are_common(page: Page) -> bool:
     """Whether the scene is one for all values, so that the rivals need to be measured once."""
     return page.sweep is not None and not _is_of_scene(page.sweep)
@@ -43,34 +57,48 @@ def _is_of_scene(sweep: Sweep) -> bool:
     return sweep.parameter == "scene" or sweep.parameter.startswith("scene.")
 
 
-def measure_point(page: Page, place: Path, out: Path, index: int, scale: float, turn: int = 0) -> Point:
-    """One value of the sweep, rivals included where the scene changes. scale: of all CPU times; turn: which of several
-    seeds, the first of which has the rivals of all.
+def measure_point(page: Page, place: Path, out: Path, index: int, scale: float, repeat: int = 0) -> Point:
+    """One value of the sweep, rivals included where the scene changes.
 
-    place: directory of the page; out: for scenes. A refused scene, or a method that gives up, is told in the point.
+    place: directory of the page; out: for scenes; scale: of all CPU times; repeat: number of the page's repeat, the
+    first of which has the rivals of all. A refused scene, or a method that gives up, is told in the point.
     """
     try:
         file = scene_file(page, place, out, index)
         load_scene(file)
     except InputError as error:
         return Point(index, [], [], {}, str(error))
-    assert page.sweep is not None
-    value = page.sweep.values[index]
-    lie = str(value) if page.sweep.parameter == "photons" else "none"
     found, failed = [], {}
     for i, contender in enumerate(page.contenders):
-        settings = _settings(page, value, contender)
         try:
-            found.append(_one(page, contender.label, file, settings, SEED + i + NEXT_SEED * turn, scale, lie))
+            found.append(_measure_contender(page, contender, file, index, _seed(i, repeat), scale))
         except (InputError, ValueError, RuntimeError) as error:
             failed[contender.label] = str(error)
-    needs_rivals = turn == 0 and not rivals_are_common(page)
-    return Point(index, found, _rivals(page, file, RIVAL_SECONDS, scale) if needs_rivals else [], failed)
+    needs_rivals = repeat == 0 and not rivals_are_common(page)
+    return Point(index, found, _measure_rivals(page, file, RIVAL_SECONDS, scale) if needs_rivals else [], failed)
 
 
-def point_seconds(page: Page, scale: float, turn: int) -> float:
+def measure_again(page: Page, place: Path, out: Path, cell: CellKey, scale: float) -> Measured:
+    """The contender of one cell by other passes of the same seed, in AGAIN times the CPU time.
+
+    The same seed, so that it has the same forecast: were it that which makes the mean wrong, it would again. For place,
+    out and scale see `measure_point`.
+    """
+    file = scene_file(page, place, out, cell.index)
+    i = [c.label for c in page.contenders].index(cell.label)
+    found = _measure_contender(
+        page, page.contenders[i], file, cell.index, _seed(i, cell.repeat), AGAIN * scale, FAR_PASS
+    )
+    return replace(found, again=True)
+
+
+def _seed(contender: int, repeat: int) -> int:
+    return SEED + contender + REPEAT_SEEDS * repeat
+
+
+def point_seconds(page: Page, scale: float, repeat: int) -> float:
     """CPU seconds that `measure_point` takes, about, without those of forecasts."""
-    own_rivals = turn == 0 and not rivals_are_common(page)
+    own_rivals = repeat == 0 and not rivals_are_common(page)
     return scale * page.seconds * (len(page.contenders) + own_rivals * RIVAL_SECONDS * len(page.truth.rivals))
 
 
@@ -79,47 +107,91 @@ def rivals_seconds(page: Page, scale: float) -> float:
     return scale * page.seconds * COMMON_RIVAL_SECONDS * len(page.truth.rivals)
 
 
-def rivals_of(page: Page, place: Path) -> str:
+def rivals_key(page: Page, place: Path) -> str:
     """What `measure_rivals` depends on: the same for pages that can share them."""
-    made = page.truth.rivals, page.room, page.set, page.side, page.seconds, page.batches, page.batch_passes
-    return f"{place} {made}"
+    known = page.truth.rivals, page.room, page.set, page.side, page.seconds, page.batches, page.batch_passes
+    return f"{place} {known}"
 
 
 def measure_rivals(page: Page, place: Path, out: Path, scale: float) -> list[Measured]:
     """The rivals of all cells of a page whose scene is one for all values."""
-    return _rivals(page, scene_file(page, place, out, 0), COMMON_RIVAL_SECONDS, scale)
+    return _measure_rivals(page, scene_file(page, place, out, 0), COMMON_RIVAL_SECONDS, scale)
 
 
-def _rivals(page: Page, file: Path, factor: float, scale: float) -> list[Measured]:
+def _measure_rivals(page: Page, file: Path, factor: float, scale: float) -> list[Measured]:
     return [
-        _one(page, rival.label, file, {**page.set, **rival.set}, RIVAL_SEED + i, factor * scale)
+        _measure_one(page, rival.label, file, {**page.set, **rival.set}, RIVAL_SEED + i, factor * scale)
         for i, rival in enumerate(page.truth.rivals)
     ]
 
 
-def _one(
-    page: Page, label: str, file: Path, settings: Mapping[str, Any], seed: int, factor: float, lie: str = "none"
+def _measure_contender(
+    page: Page, contender: Contender, file: Path, index: int, seed: int, factor: float, first_pass: int = 0
 ) -> Measured:
-    """factor: of the page's CPU time or passes."""
+    """At one value of the sweep, by its index; for the rest see `_measure_one`."""
+    assert page.sweep is not None
+    value = page.sweep.values[index]
+    lie = str(value) if page.sweep.parameter == "photons" else "none"
+    settings = _settings(page, value, contender)
+    return _measure_one(page, contender.label, file, settings, seed, factor, lie, first_pass)
+
+
+def _measure_one(
+    page: Page,
+    label: str,
+    file: Path,
+    settings: Mapping[str, Any],
+    seed: int,
+    factor: float,
+    lie: str = "none",
+    first_pass: int = 0,
+) -> Measured:
+    """factor: of the page's CPU time or passes; lie: a key of `LIES`."""
     bench = set_up(file, config_for(page.side, seed, settings), lie)
     try:
         if page.batch_passes is None:
             passes = passes_within(bench, page.seconds * factor) / page.batches
         else:
             passes = page.batch_passes * factor
-        return measure(bench, label, max(1, round(passes)), page.batches)
+        return measure(bench, label, max(1, round(passes)), page.batches, first_pass)
     finally:
         bench.close()
 
 
-def rows_by_seed(page: Page, points: Sequence[Point], rivals: Sequence[Measured], turns: int) -> list[list[Row]]:
-    """The judged rows of all values by each seed, whose points follow one another; all use the first seed's rivals."""
-    count = len(points) // turns
-    made = []
-    for turn in range(turns):
-        own = [replace(point, rivals=points[i].rivals) for i, point in enumerate(points[turn * count :][:count])]
-        made.append(all_rows(page, own, rivals))
-    return made
+Repeat = Sequence[Point]
+"""All points of a page by one set of seeds, in the order of the values."""
+
+
+def settled_rows(
+    page: Page, repeats: Sequence[Repeat], rivals: Sequence[Measured], again: Callable[[CellKey], Measured]
+) -> list[list[Row]]:
+    """The judged rows of all values, by repeat. A contender whose mean is wrong is measured once more and judged anew.
+
+    A biased mean is wrong again, all the more so in a longer time. Not so one that was too dark where none of the rare
+    bright hits came that are due in a square of the picture. Its own passes cannot tell: that square shows no hit, and
+    the even noise of others hides what skew there is. again: see `measure_again`.
+    """
+    assert page.sweep is not None
+    rows = _rows_by_repeat(page, repeats, rivals)
+    found: dict[CellKey, Measured] = {}
+    for repeat, own in enumerate(rows):
+        for row in own:
+            if row.kind is Kind.WRONG:
+                key = CellKey(repeat, page.sweep.values.index(row.value), row.label)
+                found[key] = again(key)
+    settled = [
+        [replace(p, found=[found.get(CellKey(repeat, p.index, m.label), m) for m in p.found]) for p in points]
+        for repeat, points in enumerate(repeats)
+    ]
+    return _rows_by_repeat(page, settled, rivals) if found else rows
+
+
+def _rows_by_repeat(page: Page, repeats: Sequence[Repeat], rivals: Sequence[Measured]) -> list[list[Row]]:
+    """All use the rivals of the first repeat."""
+    return [
+        all_rows(page, [replace(p, rivals=first.rivals) for p, first in zip(points, repeats[0], strict=True)], rivals)
+        for points in repeats
+    ]
 
 
 def all_rows(page: Page, points: Sequence[Point], rivals: Sequence[Measured]) -> list[Row]:

@@ -65,6 +65,7 @@ def unbiasedness(rows: Sequence[Row]) -> str:
         "wrong, as is warned": [row for row in tested if row.kind is Kind.WARNED],
         "too few hits to judge": [row for row in claimed if row.kind is Kind.BLIND],
         "most of the caustics missed": [row for row in claimed if row.kind is Kind.MISSES],
+        "wrong at first, so measured again": [row for row in claimed if row.again],
     }
     said += "".join(f"; {words}: {_named(some)}" for words, some in named.items() if some)
     untested = sum(not row.tested and row.kind is not Kind.BLIND for row in claimed)
