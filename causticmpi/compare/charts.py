@@ -92,12 +92,15 @@ def _positive(curve: np.ndarray) -> np.ndarray:
 
 
 def plain_ticks(panel: "Axes") -> None:
-    """1, 2, 5 in plain figures: powers of ten alone leave a short axis without a label."""
+    """Plain figures on logarithmic axes, the closer the shorter: powers of ten alone may leave one without a label."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     for axis in (panel.xaxis, panel.yaxis):
+        if axis.get_scale() != "log":
+            continue
         low, high = axis.get_view_interval()
-        axis.set_major_locator(LogLocator(10, subs=(1.0, 2.0, 5.0) if high < 200 * low else (1.0,)))
+        subs = (1.0,) if high > 200 * low else (1.0, 2.0, 5.0) if high > 8 * low else (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
+        axis.set_major_locator(LogLocator(10, subs=subs))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_formatter(NullFormatter())
 

@@ -4,8 +4,10 @@ import base64
 import html
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
-from causticmpi.compare.tables import Table, to_html
+from causticmpi.compare.tables import Table, to_csv, to_html
+from causticmpi.output.directory import write_whole
 
 STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; max-width: 1280px; margin: 2em auto; padding: 0 1em; color: #222; }
@@ -41,6 +43,22 @@ class Section:
     paragraphs: Sequence[str]
     content: Sequence[Table | Image]
     alarm: str = ""
+
+
+def save(path: Path, data: bytes) -> None:
+    """A whole file or none, in a directory that is made if need be."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, lambda file: file.write_bytes(data))
+
+
+def save_apart(out: Path, sections: Sequence[Section]) -> None:
+    """Every picture as a file in out/figures, every table as CSV in out/tables."""
+    for section in sections:
+        for item in section.content:
+            if isinstance(item, Image):
+                save(out / "figures" / f"{item.name}.{item.suffix}", item.data)
+            else:
+                save(out / "tables" / f"{item.name}.csv", to_csv(item).encode())
 
 
 def page(title: str, introduction: Sequence[str], sections: Sequence[Section]) -> str:

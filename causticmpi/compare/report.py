@@ -7,12 +7,11 @@ from causticmpi import __version__
 from causticmpi.compare import charts, tables
 from causticmpi.compare.analysis import PartResult
 from causticmpi.compare.metrics import flip_missing
-from causticmpi.compare.page import Image, Section, page
+from causticmpi.compare.page import Image, Section, page, save, save_apart
 from causticmpi.compare.paper import TWO_TABLES
 from causticmpi.compare.plan import Plan
 from causticmpi.compare.reference import told
 from causticmpi.compare.tables import Table
-from causticmpi.output.directory import write_whole
 from causticmpi.output.progress import clock
 
 REPORT, TABLES, MEASUREMENTS = "report.html", "tables.md", "measurements.csv"
@@ -28,19 +27,11 @@ def write_reports(plan: Plan, results: Sequence[PartResult], more: Sequence[Path
     palette = charts.colours([variant.label for variant in plan.config.variants])
     sections = [_summary(plan, results), *(_section(result, palette) for result in results)]
     sections += [_further(directory) for directory in more]
-    figures = plan.directory / "figures"
-    figures.mkdir(parents=True, exist_ok=True)
-    markdown = [f"# {plan.config.title}", ""]
-    for section in sections:
-        for item in section.content:
-            if isinstance(item, Image):
-                _write(figures / f"{item.name}.{item.suffix}", item.data)
-            else:
-                markdown.append(tables.to_markdown(item))
-                _write(plan.directory / "tables" / f"{item.name}.csv", tables.to_csv(item).encode())
-    _write(plan.directory / TABLES, "\n".join(markdown).encode())
-    _write(plan.directory / MEASUREMENTS, tables.to_csv(tables.every_point(results)).encode())
-    _write(plan.directory / REPORT, page(plan.config.title, _introduction(plan, results), sections).encode())
+    save_apart(plan.directory, sections)
+    every = [item for section in sections for item in section.content if isinstance(item, Table)]
+    save(plan.directory / TABLES, "\n".join([f"# {plan.config.title}", "", *map(tables.to_markdown, every)]).encode())
+    save(plan.directory / MEASUREMENTS, tables.to_csv(tables.every_point(results)).encode())
+    save(plan.directory / REPORT, page(plan.config.title, _introduction(plan, results), sections).encode())
     return plan.directory / REPORT
 
 
@@ -109,8 +100,3 @@ def _further(directory: Path) -> Section:
             caption = picture.info.get("Description", path.stem)
         images.append(Image(f"{directory.name}-{path.stem}", path.read_bytes(), caption))
     return Section(f"Inside the forecast: {directory.name}", [], images)
-
-
-def _write(path: Path, data: bytes) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, lambda file: file.write_bytes(data))

@@ -5,68 +5,72 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from causticmpi.compare.charts import PALETTE
+from causticmpi.compare.charts import PALETTE, plain_ticks
 from causticmpi.compare.tables import Table, number
 from causticmpi.stability.records import Page
 from causticmpi.stability.runs import TRUE_WITHIN, Coverage, Long, Result, Stops
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 
+HEADS: dict[type[Result], tuple[tuple[str, ...], str]] = {
+    Coverage: (
+        (
+            "method", "runs", "passes", "expected relMSE", "known to", "mean estimate / expected",
+            "estimated_relmse / expected", f"estimates within {TRUE_WITHIN}", "intervals that hold it", "median factor",
+            f"pictures' own errors within {TRUE_WITHIN} of their estimate",
+        ),
+        "Expected: mean squared error of the runs' pictures, each against the mean of all the others. The interval of "
+        "a run is [estimate / factor, estimate x factor], from groups of its passes.",
+    ),
+    Stops: (
+        (
+            "method", "runs", "wanted relMSE", "mean error / wanted", "within the wanted", "passes",
+            "difference of the mean", "z", "by their own error: passes", "difference", "z ",
+        ),
+        "Difference: of the mean of all pictures from a longer run, weighted as relMSE is. By their own error: the "
+        "same passes, stopped as soon as all of them together seem good enough, which prefers pictures that lack rare "
+        "bright paths.",
+    ),
+    Long: (
+        ("method", "samples", "drift of the sum", "of a float32 sum", "z of the halves", "largest sample"),
+        "Drift: the film's sum against the exactly rounded sum of all samples, relative.",
+    ),
+}  # fmt: skip
+"""Columns and note of the table of each kind."""
+
+
 def table(name: str, page: Page, results: Sequence[Result]) -> Table:
-    """One row for each contender."""
-    rows: list[tuple[str, ...]] = []
-    columns: tuple[str, ...] = ()
-    note = ""
-    for found in results:
-        if isinstance(found, Coverage):
-            columns = (
-                "method", "runs", "passes", "expected relMSE", "known to", "mean estimate / expected",
-                "estimated_relmse / expected",
-                f"estimates within {TRUE_WITHIN}", "intervals that hold it", "median factor",
-                f"pictures' own errors within {TRUE_WITHIN} of their estimate",
-            )  # fmt: skip
-            note = (
-                "Expected: mean squared error of the runs' pictures, each against the mean of all the others. The "
-                "interval of a run is [estimate / factor, estimate x factor], from groups of its passes."
-            )
-            own = np.abs(np.log(found.estimated / np.maximum(found.actual, 1e-300))) <= np.log(TRUE_WITHIN)
-            rows.append((
-                found.label, str(len(found.estimated)), str(found.passes), number(found.expected),
-                f"{100 * found.uncertainty:.1f} %", number(float(found.estimated.mean() / found.expected)),
-                number(float(found.own.mean() / found.expected)),
-                f"{100 * found.within:.0f} %", f"{100 * found.covered:.0f} %", number(float(np.median(found.factor))),
-                f"{100 * own.mean():.0f} %",
-            ))  # fmt: skip
-        elif isinstance(found, Stops):
-            columns = (
-                "method", "runs", "wanted relMSE", "mean error / wanted", "within the wanted", "passes",
-                "difference of the mean", "z", "by their own error: passes", "difference", "z ",
-            )  # fmt: skip
-            note = (
-                "Difference: of the mean of all pictures from a longer run, weighted as relMSE is. By their own error: "
-                "the same passes, stopped as soon as all of them together seem good enough, which prefers pictures "
-                "that lack rare bright paths."
-            )
-            ratio = found.actual / found.target
-            rows.append((
-                found.label, str(len(ratio)), number(found.target), number(float(ratio.mean())),
-                f"{100 * (ratio <= 1).mean():.0f} %", f"{found.passes.min():.0f} to {found.passes.max():.0f}",
-                f"{100 * found.difference:+.2f} %", f"{found.z:+.2f}",
-                f"{found.naive_passes.min():.0f} to {found.naive_passes.max():.0f}",
-                f"{100 * found.naive_difference:+.2f} %", f"{found.naive_z:+.2f}",
-            ))  # fmt: skip
-        else:
-            columns = ("method", "samples", "drift of the sum", "of a float32 sum", "z of the halves", "largest sample")
-            note = "Drift: the film's sum against the exactly rounded sum of all samples, relative."
-            rows.append((
-                found.label, f"{found.samples:,}", f"{found.drift:.1e}", f"{found.float32:.1e}", f"{found.z:+.2f}",
-                f"{100 * found.share:.3g} % of the pixel",
-            ))  # fmt: skip
-    return Table(name, f"{page.title}: all methods", columns, tuple(rows), note)
+    """One row for each contender; results are all of one kind."""
+    columns, note = HEADS[type(results[0])]
+    return Table(name, f"{page.title}: all methods", columns, tuple(map(_cells, results)), note)
+
+
+def _cells(found: Result) -> tuple[str, ...]:
+    if isinstance(found, Coverage):
+        own = np.abs(np.log(found.estimated / np.maximum(found.actual, 1e-300))) <= np.log(TRUE_WITHIN)
+        return (
+            found.label, str(len(found.estimated)), str(found.passes), number(found.expected),
+            f"{100 * found.uncertainty:.1f} %", number(float(found.estimated.mean() / found.expected)),
+            number(float(found.own.mean() / found.expected)),
+            f"{100 * found.within:.0f} %", f"{100 * found.covered:.0f} %", number(float(np.median(found.factor))),
+            f"{100 * own.mean():.0f} %",
+        )  # fmt: skip
+    if isinstance(found, Stops):
+        ratio = found.actual / found.target
+        return (
+            found.label, str(len(ratio)), number(found.target), number(float(ratio.mean())),
+            f"{100 * (ratio <= 1).mean():.0f} %", f"{found.passes.min():.0f} to {found.passes.max():.0f}",
+            f"{100 * found.difference:+.2f} %", f"{found.z:+.2f}",
+            f"{found.naive_passes.min():.0f} to {found.naive_passes.max():.0f}",
+            f"{100 * found.naive_difference:+.2f} %", f"{found.naive_z:+.2f}",
+        )  # fmt: skip
+    return (
+        found.label, f"{found.samples:,}", f"{found.drift:.1e}", f"{found.float32:.1e}", f"{found.z:+.2f}",
+        f"{100 * found.share:.3g} % of the pixel",
+    )  # fmt: skip
 
 
 def chart(results: Sequence[Result]) -> "Figure":
@@ -84,25 +88,11 @@ def chart(results: Sequence[Result]) -> "Figure":
         else:
             _long(left, right, found, colour)
     for panel in (left, right):
-        for axis in (panel.xaxis, panel.yaxis):
-            if axis.get_scale() == "log":
-                _plain_ticks(axis)
+        plain_ticks(panel)
         panel.grid(True, which="major", color="#dddddd", linewidth=0.8)
         panel.set_axisbelow(True)
         panel.legend(fontsize=8, framealpha=0.85, edgecolor="none")
     return figure
-
-
-def _plain_ticks(axis: "Axis") -> None:
-    """Plain figures on a logarithmic axis of less than a few decades, whose powers of ten alone would say little."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    low, high = axis.get_view_interval()
-    if high > 200 * low:
-        return
-    axis.set_major_locator(LogLocator(10, subs=(1, 2, 5) if high > 8 * low else (1, 1.5, 2, 3, 5, 7)))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_formatter(NullFormatter())
 
 
 def _coverage(left: "Axes", right: "Axes", found: Coverage, colour: str, index: int) -> None:
