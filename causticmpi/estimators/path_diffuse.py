@@ -6,7 +6,7 @@ import numpy as np
 
 from causticmpi.kernels import bsdf, lanes, vec, warp
 from causticmpi.kernels import path_layout as at
-from causticmpi.kernels.embree import LANES, RAY16, TFAR, VALID, rtc_occluded16
+from causticmpi.kernels.embree import DIR, LANES, RAY16, TFAR, VALID, rtc_occluded16
 from causticmpi.kernels.eye_path import emitted, facing
 from causticmpi.kernels.jit import inline
 from causticmpi.kernels.material_kinds import PHONG
@@ -107,7 +107,7 @@ def direct_light(work):
         origin = vec.along(p, n, offset)
         target = vec.along(q, n_q, max(offset, OFFSET * work[at.LIGHT_REACH + i]))
         put3(work, RAY16, i, origin)
-        put3(work, RAY16 + 64, i, vec.sub(target, origin))
+        put3(work, RAY16 + 16 * DIR, i, vec.sub(target, origin))
         seen = (work[at.ALIVE + i] > ZERO) & (distance2 > ZERO) & (cosine > ZERO) & (cosine_q > ZERO)
         work[RAY16 + 16 * TFAR + i] = ONE if seen else -ONE
     return lanes.count(lanes.marked(work, RAY16 + 16 * TFAR))
@@ -180,7 +180,7 @@ def bounce(scene, work, j, glossy):
         n = get3(work, at.NORMAL, i)
         u, v = fraction(work[at.U + i] + step * _LATTICE[0]), fraction(work[at.V + i] + step * _LATTICE[1])
         put3(work, RAY16, i, vec.along(get3(work, at.POINT, i), n, work[at.OFFSET + i]))
-        put3(work, RAY16 + 64, i, vec.to_world(warp.cosine_hemisphere(u, v), n))
+        put3(work, RAY16 + 16 * DIR, i, vec.to_world(warp.cosine_hemisphere(u, v), n))
         work[RAY16 + 16 * TFAR + i] = INFINITY if j < words[at.SPLITS + i] else -ONE
     if glossy > 0:
         for i in range(LANES):
@@ -190,7 +190,7 @@ def bounce(scene, work, j, glossy):
             n, wo = get3(work, at.NORMAL, i), vec.neg(get3(work, at.DIRECTION, i))
             u, v = fraction(work[at.U + i] + step * _LATTICE[0]), fraction(work[at.V + i] + step * _LATTICE[1])
             direction = bsdf.sample(scene, material, n, wo, fraction(work[at.CHOICE + i] + step * _LATTICE[2]), u, v)
-            put3(work, RAY16 + 64, i, direction)
+            put3(work, RAY16 + 16 * DIR, i, direction)
             if vec.dot(direction, n) <= ZERO:
                 work[RAY16 + 16 * TFAR + i] = -ONE
     return trace_packet(scene, work, RAY16)
@@ -217,7 +217,7 @@ def name_found(scene, work, j, glossy):
         share = ONE / np.float32(words[at.SPLITS + i]) if mirrors else ONE
         throughput = vec.mul(get3(work, at.THROUGHPUT, i), get3(work, at.REFLECTANCE, i))
         put3(work, RAY16 + 16 * at.FOUND_THROUGHPUT, i, vec.scale(throughput, share))
-        cosine = vec.dot(get3(work, at.NORMAL, i), get3(work, RAY16 + 64, i))
+        cosine = vec.dot(get3(work, at.NORMAL, i), get3(work, RAY16 + 16 * DIR, i))
         work[RAY16 + 16 * at.FOUND_DOUBT + i] = PI / cosine
         words[RAY16 + 16 * at.FOUND_PIXEL + i] = pixel | np.int32(mirrors & (depth == 0))
         words[RAY16 + 16 * at.FOUND_DEPTH + i] = depth + np.int32(1)
@@ -238,7 +238,7 @@ def name_found_from_gloss(scene, work):
         if words[at.KIND + i] != PHONG or words[_FOUND + i] < 0:
             continue
         material = words[at.MATERIAL + i]
-        n, wo, wi = get3(work, at.NORMAL, i), vec.neg(get3(work, at.DIRECTION, i)), get3(work, RAY16 + 64, i)
+        n, wo, wi = get3(work, at.NORMAL, i), vec.neg(get3(work, at.DIRECTION, i)), get3(work, RAY16 + 16 * DIR, i)
         density = bsdf.pdf(scene, material, n, wo, wi)
         f = vec.scale(bsdf.evaluate(scene, material, n, wo, wi), vec.dot(wi, n) / density)
         share = ONE / np.float32(words[at.SPLITS + i]) if is_specular(words[_FOUND + i]) else ONE

@@ -214,7 +214,7 @@ def ray_buffer(extra: int = 0) -> np.ndarray:
 LANES = 16
 VALID, COHERENT, RAY16 = 32, 48, 64
 """First words of the valid mask, of the arguments for coherent rays and of the 16-wide ray in `ray_buffer`."""
-TNEAR, TFAR, PRIM, GEOM = 3, 8, 17, 18
+TNEAR, DIR, TFAR, PRIM, GEOM = 3, 4, 8, 17, 18
 """Word offsets of RTCRayHit; in the 16-wide ray word w of lane i lies at RAY16 + 16 w + i."""
 
 
@@ -284,7 +284,8 @@ def lane_origin(rays, lane):
 @inline
 def lane_direction(rays, lane):
     """Direction of a lane of the packet."""
-    return rays[RAY16 + 16 * 4 + lane], rays[RAY16 + 16 * 5 + lane], rays[RAY16 + 16 * 6 + lane]
+    first = RAY16 + 16 * DIR + lane
+    return rays[first], rays[first + 16], rays[first + 32]
 
 
 @inline

@@ -10,7 +10,7 @@ from causticmpi.kernels import aim as aim_room
 from causticmpi.kernels import emission, particles, rng, vec, warp
 from causticmpi.kernels import path_layout as at
 from causticmpi.kernels import path_stages as stages
-from causticmpi.kernels.embree import LANES, RAY16
+from causticmpi.kernels.embree import DIR, LANES, RAY16
 from causticmpi.kernels.jit import inline
 from causticmpi.kernels.path_layout import get3, put3
 from causticmpi.kernels.traced_scene import OFFSET, is_sphere, light_point
@@ -32,7 +32,7 @@ def emit_aimed(scene, work, aim, seed, purpose, pass_index, first, last, number)
         for i in range(LANES):
             p, n = get3(work, at.POINT, i), get3(work, at.NORMAL, i)
             direction, weight = aim_room.emission(aim, p, n, work[at.CHOICE + i], work[at.U + i], work[at.V + i])
-            put3(work, RAY16 + 64, i, direction)
+            put3(work, RAY16 + 16 * DIR, i, direction)
             flux = vec.scale(get3(work, at.THROUGHPUT, i), weight / particles.PARTICLE_FLUX)
             put3(work, at.THROUGHPUT, i, flux)
     _start(work)
@@ -88,7 +88,7 @@ def _emit_from_triangles(work):
         p = vec.along(vec.along(get3(work, at.CORNER, i), get3(work, at.EDGE1, i), a), get3(work, at.EDGE2, i), b)
         put3(work, at.POINT, i, p)
         work[at.OFFSET + i] = OFFSET * work[at.LIGHT_REACH + i]
-        put3(work, RAY16 + 64, i, vec.to_world(warp.cosine_hemisphere(work[at.U + i], work[at.V + i]), n))
+        put3(work, RAY16 + 16 * DIR, i, vec.to_world(warp.cosine_hemisphere(work[at.U + i], work[at.V + i]), n))
 
 
 @inline
@@ -97,7 +97,7 @@ def _put_right(work, i, p, n, offset, direction):
     put3(work, at.POINT, i, p)
     put3(work, at.NORMAL, i, n)
     work[at.OFFSET + i] = offset
-    put3(work, RAY16 + 64, i, direction)
+    put3(work, RAY16 + 16 * DIR, i, direction)
 
 
 @inline

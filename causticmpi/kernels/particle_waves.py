@@ -13,7 +13,7 @@ import numpy as np
 from causticmpi.kernels import bsdf, lanes, particles, rng, vec, warp
 from causticmpi.kernels import path_layout as at
 from causticmpi.kernels import path_stages as stages
-from causticmpi.kernels.embree import LANES, PRIM, RAY16, TFAR
+from causticmpi.kernels.embree import DIR, LANES, PRIM, RAY16, TFAR
 from causticmpi.kernels.eye_path import facing
 from causticmpi.kernels.jit import inline
 from causticmpi.kernels.material_kinds import MIRROR, PHONG
@@ -63,7 +63,7 @@ def _fly(scene, work, queue, count):
         first, left = block * LANES, count - block * LANES
         for c in range(3):
             lanes.copy(queue, at.place(at.ORIGIN + 16 * c, first), work, RAY16 + 16 * c)
-            lanes.copy(queue, at.place(at.DIRECTION + 16 * c, first), work, RAY16 + 64 + 16 * c)
+            lanes.copy(queue, at.place(at.DIRECTION + 16 * c, first), work, RAY16 + 16 * DIR + 16 * c)
         for i in range(LANES):
             work[RAY16 + 16 * TFAR + i] = INFINITY if i < left else -ONE
         stages.trace_packet(scene, work, RAY16)
@@ -147,7 +147,7 @@ def _bounce(work):
         origin = vec.along(get3(work, at.POINT, i), n, work[at.OFFSET + i])
         if words[at.KIND + i] < MIRROR:
             put3(work, RAY16, i, origin)
-            put3(work, RAY16 + 64, i, out)
+            put3(work, RAY16 + 16 * DIR, i, out)
             put3(work, at.CONTRIBUTION, i, get3(work, at.THROUGHPUT, i))
             put3(work, at.THROUGHPUT, i, flux)
             work[at.ALIVE + i] = work[at.ALIVE + i] if work[at.SURVIVE + i] < survival else ZERO
@@ -164,7 +164,7 @@ def _bounce_on_gloss(scene, work):
         choice, u, v = work[at.CHOICE + i], work[at.U + i], work[at.V + i]
         direction, weight = bsdf.sample_weight(scene, words[at.MATERIAL + i], n, back, choice, u, v)
         survival = min(bsdf.SURVIVAL, vec.max3(weight))
-        put3(work, RAY16 + 64, i, direction)
+        put3(work, RAY16 + 16 * DIR, i, direction)
         put3(work, at.THROUGHPUT, i, vec.scale(vec.mul(get3(work, at.CONTRIBUTION, i), weight), ONE / survival))
         work[at.ALIVE + i] = ONE if work[at.SURVIVE + i] < survival else ZERO
 
@@ -186,7 +186,7 @@ def wait(work, queue, count):
     alive = lanes.marked(work, at.ALIVE)
     for c in range(3):
         lanes.pack(work, RAY16 + 16 * c, alive, queue, at.place(at.ORIGIN + 16 * c, count))
-        lanes.pack(work, RAY16 + 64 + 16 * c, alive, queue, at.place(at.DIRECTION + 16 * c, count))
+        lanes.pack(work, RAY16 + 16 * DIR + 16 * c, alive, queue, at.place(at.DIRECTION + 16 * c, count))
         lanes.pack(work, at.THROUGHPUT + 16 * c, alive, queue, at.place(at.THROUGHPUT + 16 * c, count))
     lanes.pack_long(work, at.KEY, alive, queue, at.place(at.KEY, 2 * count))
     for row in (at.PIXEL, at.DEPTH, at.CHAIN):

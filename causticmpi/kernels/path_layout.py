@@ -15,7 +15,7 @@ depend on the other lanes (tests/test_embree.py): so a pixel's sums are the same
 import numpy as np
 
 from causticmpi.kernels import lanes
-from causticmpi.kernels.embree import LANES, PRIM, RAY16, TFAR, ray_buffer
+from causticmpi.kernels.embree import DIR, LANES, PRIM, RAY16, TFAR, ray_buffer
 from causticmpi.kernels.jit import inline
 
 GROUP = 512
@@ -151,7 +151,7 @@ def push(work, packet, mask, queue, count):
     """Let the vertices that the marked lanes of a packet have found wait behind `count` others. Returns how many do."""
     for c in range(3):
         lanes.pack(work, packet + 16 * c, mask, queue, place(ORIGIN + 16 * c, count))
-        lanes.pack(work, packet + 16 * (4 + c), mask, queue, place(DIRECTION + 16 * c, count))
+        lanes.pack(work, packet + 16 * (DIR + c), mask, queue, place(DIRECTION + 16 * c, count))
         lanes.pack(work, packet + 16 * (FOUND_THROUGHPUT + c), mask, queue, place(THROUGHPUT + 16 * c, count))
     lanes.pack(work, packet + 16 * TFAR, mask, queue, place(DISTANCE, count))
     lanes.pack(work, packet + 16 * PRIM, mask, queue, place(PRIMITIVE, count))

@@ -7,7 +7,7 @@ import numpy as np
 
 from causticmpi.kernels import bsdf, lanes, rng, vec, warp
 from causticmpi.kernels import path_layout as at
-from causticmpi.kernels.embree import GEOM, LANES, MISS, PRIM, RAY16, TFAR, VALID, rtc_intersect16
+from causticmpi.kernels.embree import DIR, GEOM, LANES, MISS, PRIM, RAY16, TFAR, VALID, rtc_intersect16
 from causticmpi.kernels.jit import inline, prefetch
 from causticmpi.kernels.material_kinds import LIGHT_BIT, MIRROR
 from causticmpi.kernels.path_layout import get3, put3
@@ -20,6 +20,8 @@ WORTH = np.float32(0.25)
 """Roulette brings the throughput of a path that falls below this back to it."""
 SURE_DEPTH = 3
 """From this many non-specular vertices on no path survives for certain, so that white rooms end too."""
+FEW_LIGHTS = 32
+"""Up to so many lights are looked through one by one, in step for all lanes."""
 
 
 @inline
@@ -42,7 +44,7 @@ def locate(work, triangle_count):
         size = work[at.SIZE + i]
         round_ = words[at.PRIMITIVE + i] >= triangle_count
         out = vec.normalize(vec.sub(p, s))
-        back = vec.along(s, out, size)
+        back = vec.along(s, out, size)  # the hit of a sphere as far from its centre as it should be
         coordinate = max(abs(s[0]), max(abs(s[1]), abs(s[2]))) + size
         n = (out[0] if round_ else s[0], out[1] if round_ else s[1], out[2] if round_ else s[2])
         p = (back[0] if round_ else p[0], back[1] if round_ else p[1], back[2] if round_ else p[2])
@@ -55,7 +57,7 @@ def locate(work, triangle_count):
 
 @inline
 def draw(work):
-    """The random numbers of a block."""
+    """The random numbers of a block, by KEY: CHOICE, SURVIVE, U, V, LIGHT_U, LIGHT_V, in [0, 1)."""
     keys = work.view(np.uint64)
     for i in range(LANES):
         key = keys[at.KEY // 2 + i]
@@ -78,7 +80,8 @@ def trace_packet(scene, work, packet):
 
 @inline
 def number_hits(scene, work, packet):
-    """Turn Embree's word on what a packet has hit into the number of the primitive, -1 for none."""
+    """Turn Embree's word on what a packet has hit, PRIM in its geometry, into the number of the primitive, -1 for none:
+    spheres are counted behind the triangles."""
     lanes.add_product(work, packet + 16 * PRIM, packet + 16 * GEOM, scene.triangle_count)
 
 
@@ -92,7 +95,7 @@ def ask_for_hits(scene, work, packet):
 
 @inline
 def tell_kinds(scene, work, packet):
-    """FOUND: kinds of material that a packet has hit, -1 for none; FOUND_LIGHT: not 0 for lights."""
+    """Number what a packet has hit; look up FOUND, kinds of material (-1: none), and FOUND_LIGHT, not 0 for lights."""
     words = work.view(np.int32)
     number_hits(scene, work, packet)
     ask_for_hits(scene, work, packet)
@@ -144,7 +147,10 @@ def play_roulette(work, packet):
 
 @inline
 def queue_found(work, packet, queues, diffuse, specular):
-    """Let what a packet has found wait, by FOUND. Returns how many vertices wait in either queue."""
+    """Let what a packet has found wait, by FOUND; U and V are overwritten by the marks of who waits where.
+
+    queues: of diffuse and of specular vertices, where so many wait already; returns how many do then.
+    """
     words = work.view(np.int32)
     for i in range(LANES):
         kind = words[packet + 16 * at.FOUND + i]
@@ -153,10 +159,6 @@ def queue_found(work, packet, queues, diffuse, specular):
     diffuse = at.push(work, packet, lanes.marked(work, at.U), queues[0], diffuse)
     specular = at.push(work, packet, lanes.marked(work, at.V), queues[1], specular)
     return diffuse, specular
-
-
-FEW_LIGHTS = 32
-"""Up to so many lights are looked through one by one, in step for all lanes."""
 
 
 @inline
@@ -236,5 +238,5 @@ def scatter(work):
         )
         offset = work[at.OFFSET + i]
         put3(work, RAY16, i, vec.along(get3(work, at.POINT, i), n, offset if vec.dot(out, n) > ZERO else -offset))
-        put3(work, RAY16 + 64, i, out)
+        put3(work, RAY16 + 16 * DIR, i, out)
         work[RAY16 + 16 * TFAR + i] = INFINITY if work[at.ALIVE + i] > ZERO else -ONE
