@@ -37,7 +37,7 @@ def trial(
         return pilot.Part(none + n * mean, none + n * mean**2 + variance * (n - 1), rays)
 
     swing = np.sqrt(lamps * (n - 1) / n) * np.tile([-1.0, 1.0], n // 2)
-    looks = pilot.Looks(np.broadcast_to(swing[:, None, None], (n, SLOTS, 3)), lamp_rays)
+    looks = pilot.Lamps(np.broadcast_to(swing[:, None, None], (n, SLOTS, 3)), lamp_rays)
     mean, deviation = np.stack([np.full(BLOCKS, 1.0), np.full(BLOCKS, 0.01)]) if caustic is None else caustic
     return pilot.Trial(
         part(1.0, eye, eye_rays), part(0.0, light, light_rays), looks,
@@ -72,7 +72,7 @@ def test_a_glint_met_once_is_no_bright_pixel() -> None:
     passes = np.zeros((pilot.PASSES, 2, 3), np.float32)
     passes[3, 0] = 160.0
     passes[:, 1] = 80.0 + np.tile([-1.0, 1.0], pilot.PASSES // 2)[:, None]
-    glint, lamp = (pilot.Looks(passes[:, i : i + 1], 1.0).error(np.full((1, 3), 0.5), 0.01) for i in (0, 1))
+    glint, lamp = (pilot.Lamps(passes[:, i : i + 1], 1.0).error(np.full((1, 3), 0.5), 0.01) for i in (0, 1))
     variance = passes.astype(np.float64).var(axis=0, ddof=1)[:, 0]
     others = 160 / (pilot.PASSES - 1)
     quiet = (pilot.PASSES - 1) * others**2 / ((0.5 + others) ** 2 + 0.01) * (pilot.PASSES - 1) / pilot.PASSES

@@ -12,7 +12,9 @@ one that got a fourth of its hits is dark and seems sure of it."""
 SKEWED = 4.0
 """Standard errors of a normal sample's third moment from which batches count as skewed."""
 DECADE = 10.0
+"""Passes over those from which on a slope is fitted."""
 FEWEST_POINTS = 4
+"""Of a curve that tells a slope or a floor."""
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,7 @@ FEWEST_PATHS, MOST_PATHS = 1 / 16, 16.0
 """Light paths for every pixel and pass."""
 SIGHT_SIDE, MOST_SIDE = 2, 3
 """Side of the grid of looks for lamps in a pixel, without a pilot; at most with one."""
-LOOKS = 4
+LOOK_PASSES = 4
 """Passes of looks that tell whether the eye sees a lamp at all."""
 
 
@@ -87,8 +87,8 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Looks:
-    """Lamps in sight. passes (PASSES, slots, 3): what each pass saw of them; rays: as of a Part."""
+class Lamps:
+    """The part of lamps in sight. passes (PASSES, slots, 3): what each pass saw of them; rays: as of a Part."""
 
     passes: np.ndarray
     rays: float
@@ -110,7 +110,7 @@ class Trial:
 
     eye: Part
     light: Part
-    lamps: Looks
+    lamps: Lamps
     caustic: np.ndarray
     caustic_squares: np.ndarray
 
@@ -171,7 +171,7 @@ def find_lamps(data: SceneData, scene: TracedScene, film: Film, seed: int) -> La
     sight = lamp_sight(data, eye, small.width, small.height, SIGHT_SIDE)
     seen = np.zeros((small.width * small.height, 6), np.float32)
     pixels, work = pixel_order(small.window, small.width), sight_work(SIGHT_SIDE)
-    for index in range(FIRST_PASS, FIRST_PASS + LOOKS):
+    for index in range(FIRST_PASS, FIRST_PASS + LOOK_PASSES):
         see_lamps(scene, eye, work, *sight, pixels, seed, index, seen)
     return sight if seen.any() else seen_in_passing()
 
@@ -190,14 +190,15 @@ def _best(trial: Trial, paths_per_pixel: float, side: int, rest: np.ndarray, flo
     """Least error times cost, and what gives it: light paths for every pixel, side of the grid of looks for lamps."""
     weight = 1 / ((rest + trial.lamps.passes.mean(axis=0)) ** 2 + floor)
     eye, light, lamps = trial.eye.error(weight), trial.light.error(weight), trial.lamps.error(rest, floor)
-    more = 1.0
+    more = 1.0  # light paths, over those that were tried
     if light > 0 and eye > 0:
-        # Least (eye + light / more) (eye rays + light rays more).
+        # Where (eye + light / more) (eye rays + light rays more) is least.
         more = math.sqrt(light * trial.eye.rays / (eye * trial.light.rays))
         more = min(max(more * paths_per_pixel, FEWEST_PATHS), MOST_PATHS) / paths_per_pixel
     error, rays = eye + light / more, trial.eye.rays + trial.light.rays * more
 
     def score(other: int) -> float:
+        """Error times cost with a grid of `other` looks a side."""
         # Seen in passing, lamps have the error of a single look, at no cost.
         looks = other**2 / side**2 if side else 0.0
         return (error + lamps * (1 / looks if looks else side**2)) * (rays + trial.lamps.rays * looks)
@@ -216,14 +217,16 @@ def sees(plain: Trial, other: Trial) -> bool:
 
 
 def _mean_and_error(total: np.ndarray, squares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean of a pass and its standard error, from sums over passes."""
     mean = total / PASSES
     return mean, np.sqrt(np.maximum(squares / PASSES - mean * mean, 0) / (PASSES - 1))
 
 
 def _try(method: Method, film: Film, ray: float) -> Trial:
+    """PASSES passes of a film. ray: cost of a ray of an eye path, over that of one sampled plainly."""
     assert isinstance(method, VirtualLighting)
     width, height = film.width, film.height
-    pixels = pixel_order((0, 0, width, height), width)
+    pixels = pixel_order(film.window, width)
     blocks = [np.arange(0, side, BLOCK) for side in (height, width)]
     samples, lamps = np.zeros((2, width * height, 6), np.float32)
     splats = np.zeros((width * height, 3), np.float32)
@@ -242,10 +245,10 @@ def _try(method: Method, film: Film, ray: float) -> Trial:
         looks[index - FIRST_PASS] = lamps[:, :3]
         sums[:, 0] += parts
         sums[:, 1] += parts * parts
-        lit = (samples[:, 3:] + splats).astype(np.float64).sum(axis=1).reshape(height, width)
-        lit = np.add.reduceat(np.add.reduceat(lit, blocks[0], axis=0), blocks[1], axis=1)
+        caustic = (samples[:, 3:] + splats).astype(np.float64).sum(axis=1).reshape(height, width)
+        lit = np.add.reduceat(np.add.reduceat(caustic, blocks[0], axis=0), blocks[1], axis=1)
         caustics[0] += lit
         caustics[1] += lit * lit
     cost = rays * (ray, LIGHT_RAY, SIGHT_RAY) / (PASSES * width * height)
     eye, light = (Part(sums[i, 0], sums[i, 1], float(cost[i])) for i in range(2))
-    return Trial(eye, light, Looks(looks, float(cost[2])), caustics[0], caustics[1])
+    return Trial(eye, light, Lamps(looks, float(cost[2])), caustics[0], caustics[1])
