@@ -57,7 +57,7 @@ def test_measured_again_by_other_passes_of_the_same_seed(tmp_path: Path) -> None
     )  # fmt: skip
     (first,) = sweep.measure_point(made, tmp_path, tmp_path, 1, 1.0, 1).found
     again = sweep.measure_again(made, tmp_path, tmp_path, sweep.CellKey(1, 1, "cf"), 1.0)
-    assert again.again and not first.again and again.label == "cf" and again.seed == first.seed == 2001
+    assert again.label == first.label == "cf" and again.seed == first.seed == 2001
     assert again.passes == 8 * first.passes and not np.isin(again.blocks, first.blocks).any()
 
 

@@ -74,7 +74,7 @@ def test_a_square_without_its_rare_hits_is_measured_again_and_a_biased_one_stays
 
     def again(key: sweep.CellKey) -> Measured:
         assert key == sweep.CellKey(0, 0, "cf")
-        return replace(found(8 * PASSES, 102), again=True)
+        return found(8 * PASSES, 102)
 
     points = [sweep.Point(0, [found(PASSES, 2)], [], {})]
     assert points[0].found[0].hits > FEW_HITS and sweep.all_rows(made, points, [rival])[0].kind is Kind.WRONG

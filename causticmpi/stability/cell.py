@@ -134,15 +134,16 @@ def set_up(scene_file: Path, config: RenderConfig, lie: str = "none") -> Bench:
     return Bench(scene, config, method, maps, preprocess, pixels)
 
 
+_COMPILED: set[tuple[str, str, bool]] = set()
+"""Kinds of method whose kernels this process has loaded."""
+
+
 def _compile(config: RenderConfig, forecasting: bool) -> None:
     """Load or compile a method's kernels once per process: no cell pays for it. forecasting: whether it has maps."""
     kind = (config.method, config.forecast.sampling, forecasting)
     if kind not in _COMPILED:
         _COMPILED.add(kind)
         warm_up(config, True, forecasting)
-
-
-_COMPILED: set[tuple[str, str, bool]] = set()
 
 
 def _lying_maps(config: RenderConfig, data: SceneData, lie: str) -> ForecastMaps:

@@ -86,13 +86,12 @@ def measure_again(page: Page, place: Path, out: Path, cell: CellKey, scale: floa
     """
     file = scene_file(page, place, out, cell.index)
     i = [c.label for c in page.contenders].index(cell.label)
-    found = _measure_contender(
-        page, page.contenders[i], file, cell.index, _seed(i, cell.repeat), AGAIN * scale, FAR_PASS
-    )
-    return replace(found, again=True)
+    seed = _seed(i, cell.repeat)
+    return _measure_contender(page, page.contenders[i], file, cell.index, seed, AGAIN * scale, FAR_PASS)
 
 
 def _seed(contender: int, repeat: int) -> int:
+    """Of a contender by its number on the page."""
     return SEED + contender + REPEAT_SEEDS * repeat
 
 
@@ -146,7 +145,7 @@ def _measure_one(
     lie: str = "none",
     first_pass: int = 0,
 ) -> Measured:
-    """factor: of the page's CPU time or passes; lie: a key of `LIES`."""
+    """factor: of the page's CPU time or passes; lie: a key of `LIES`; first_pass: its number, the others follow."""
     bench = set_up(file, config_for(page.side, seed, settings), lie)
     try:
         if page.batch_passes is None:
@@ -171,19 +170,28 @@ def settled_rows(
     bright hits came that are due in a square of the picture. Its own passes cannot tell: that square shows no hit, and
     the even noise of others hides what skew there is. again: see `measure_again`.
     """
-    assert page.sweep is not None
     rows = _rows_by_repeat(page, repeats, rivals)
-    found: dict[CellKey, Measured] = {}
-    for repeat, own in enumerate(rows):
-        for row in own:
-            if row.kind is Kind.WRONG:
-                key = CellKey(repeat, page.sweep.values.index(row.value), row.label)
-                found[key] = again(key)
-    settled = [
-        [replace(p, found=[found.get(CellKey(repeat, p.index, m.label), m) for m in p.found]) for p in points]
-        for repeat, points in enumerate(repeats)
+    # More than once round: what is seen of the caustics in a second measurement has a say in other verdicts.
+    while wrong := _wrong_at_first(page, rows):
+        found = {key: replace(again(key), again=True) for key in wrong}
+        repeats = [
+            [replace(p, found=[found.get(CellKey(repeat, p.index, m.label), m) for m in p.found]) for p in points]
+            for repeat, points in enumerate(repeats)
+        ]
+        rows = _rows_by_repeat(page, repeats, rivals)
+    return rows
+
+
+def _wrong_at_first(page: Page, rows: Sequence[Sequence[Row]]) -> list[CellKey]:
+    """Cells that are wrong and not measured again yet, of rows by repeat."""
+    assert page.sweep is not None
+    values = page.sweep.values
+    return [
+        CellKey(repeat, values.index(row.value), row.label)
+        for repeat, own in enumerate(rows)
+        for row in own
+        if row.kind is Kind.WRONG and not row.again
     ]
-    return _rows_by_repeat(page, settled, rivals) if found else rows
 
 
 def _rows_by_repeat(page: Page, repeats: Sequence[Repeat], rivals: Sequence[Measured]) -> list[list[Row]]:
