@@ -14,7 +14,7 @@ import numpy as np
 from causticmpi.estimators import weak_singularities as ws
 from causticmpi.estimators.light_tracing import owns
 from causticmpi.estimators.vertices import WAITING, Vertex, Vertices, empty_vertices, get, put, take
-from causticmpi.kernels import bsdf, rng, vec
+from causticmpi.kernels import bsdf, lanes, rng, vec
 from causticmpi.kernels.camera import see_packet
 from causticmpi.kernels.embree import (
     LANES,
@@ -29,7 +29,7 @@ from causticmpi.kernels.eye_path import emitted, facing, follow_chains
 from causticmpi.kernels.jit import inline
 from causticmpi.kernels.material_kinds import DIFFUSE
 from causticmpi.kernels.pixels import add_sample
-from causticmpi.kernels.traced_scene import hit_point, is_specular
+from causticmpi.kernels.traced_scene import has_specular, hit_point
 from causticmpi.kernels.vec import INV_PI, ONE, WHITE, ZERO
 
 CHOICE, DIRECTION, FEW, CHAIN, SAMPLE = 0, 1, 2, 3, 4
@@ -38,14 +38,15 @@ DIFFUSIVE, CAUSTIC = 0, 1
 ANYTHING, ON_DIFFUSE, ON_SPECULAR = 0, 1, 2
 """What counts of what a ray hits: on D it is a compensation, on S a caustic."""
 RAY_WORDS = 8
+_RAY = RAY_WORDS * LANES
 OUT_OF_USE = np.float32(-1)
 
 
 class Rays(NamedTuple):
-    """Rays to send: row 16 j + i is the j-th of vertex i.
+    """Rays to send: lane i of packet j is the j-th of vertex i.
 
-    reals (rows, 8) float32: direction, throughput to the pixel, random number of the roulette, reach (OUT_OF_USE for
-    none); counts (rows,) int64: ANYTHING, ON_DIFFUSE or ON_SPECULAR; key (rows,) uint64
+    reals (packets, 8, 16) float32: direction, throughput to the pixel, random number of the roulette, reach (OUT_OF_USE
+    for none); counts (packets, 16) int64: ANYTHING, ON_DIFFUSE or ON_SPECULAR; key (packets, 16) uint64
     """
 
     reals: Any
@@ -87,8 +88,11 @@ class PassWork(NamedTuple):
 
 def pass_work(forecast: Any, most_rays: int) -> PassWork:
     """Workspace around that of the forecast; most_rays: that a vertex sends."""
-    rows = LANES * most_rays
-    rays = Rays(np.full((rows, RAY_WORDS), OUT_OF_USE, np.float32), np.zeros(rows, np.int64), np.zeros(rows, np.uint64))
+    rays = Rays(
+        np.full((most_rays, RAY_WORDS, LANES), OUT_OF_USE, np.float32),
+        np.zeros((most_rays, LANES), np.int64),
+        np.zeros((most_rays, LANES), np.uint64),
+    )
     hits = Hits(
         np.zeros(LANES, np.float32),
         np.zeros(LANES, np.bool_),
@@ -99,7 +103,7 @@ def pass_work(forecast: Any, most_rays: int) -> PassWork:
     )
     return PassWork(
         packet=ws.packet_buffer(),
-        waiting=empty_vertices(WAITING + 2 * rows),
+        waiting=empty_vertices(WAITING + 2 * LANES * most_rays),
         now=empty_vertices(LANES),
         rays=rays,
         hits=hits,
@@ -126,7 +130,7 @@ def see_tile(scene, camera, work, pixels, first, seed, pass_index, splats, lamps
         hits.throughput[i, 0], hits.throughput[i, 1], hits.throughput[i, 2] = WHITE
         work.lane_key[i] = rng.make_key(seed, rng.CAMERA, pass_index, pixels[first + i, 2])
         hits.key[i] = rng.subkey(work.lane_key[i], CHAIN)
-        if splats and hits.primitive[i] >= 0 and not is_specular(scene.kind[scene.material[hits.primitive[i]]]):
+        if splats and hits.primitive[i] >= 0 and not has_specular(scene, hits.primitive[i]):
             lane[i, 4] = ONE
     traced += follow_chains(scene, packet, hits.primitive, hits.distance, hits.throughput, hits.key)
     used = 0
@@ -222,14 +226,13 @@ def first_vertex(work, lane):
 def send(work, i, j, direction, weight, reach, survive, key, counts):
     """Let the j-th ray of vertex i wait for its packet. weight: its throughput to the pixel; reach: beyond it nothing
     counts; counts: of ANYTHING, ON_DIFFUSE, ON_SPECULAR."""
-    row = LANES * j + i
-    ray = work.rays.reals[row]
-    ray[0], ray[1], ray[2] = direction
-    ray[3], ray[4], ray[5] = weight
-    ray[6] = survive
-    ray[7] = reach if vec.max3(weight) > ZERO else OUT_OF_USE
-    work.rays.counts[row] = counts
-    work.rays.key[row] = key
+    ray = work.rays.reals[j]
+    for c in range(3):
+        ray[c, i], ray[3 + c, i] = direction[c], weight[c]
+    ray[6, i] = survive
+    ray[7, i] = reach if vec.max3(weight) > ZERO else OUT_OF_USE
+    work.rays.counts[j, i] = counts
+    work.rays.key[j, i] = key
 
 
 @inline
@@ -258,42 +261,45 @@ def trace(scene, work, top, bound):
     """
     packet, rays, hits = work.packet, work.rays, work.hits
     traced, lost = 0, 0
-    for first in range(0, rays.counts.shape[0], LANES):
+    for j in range(rays.counts.shape[0]):
+        ray = rays.reals[j]
         sent = 0
         for i in range(LANES):
-            ray, start = rays.reals[first + i], work.now.reals[i]
-            for c in range(3):
-                packet[RAY16 + 16 * c + i] = start[c]
-                packet[RAY16 + 16 * (4 + c) + i] = ray[c]
-                hits.throughput[i, c] = ray[3 + c]
-            packet[RAY16 + 16 * TFAR + i] = ray[7]
-            sent += ray[7] > ZERO
+            sent += ray[7, i] > ZERO
         if sent == 0:
             continue
+        for c in range(3):
+            lanes.copy(rays.reals, _RAY * j + LANES * c, packet, RAY16 + 16 * (4 + c))
+        lanes.copy(rays.reals, _RAY * j + LANES * 7, packet, RAY16 + 16 * TFAR)
+        for i in range(LANES):
+            for c in range(3):
+                packet[RAY16 + 16 * c + i] = work.now.reals[i, c]
+                hits.throughput[i, c] = ray[3 + c, i]
         intersect_packet(scene.handle, packet)
         traced += sent
         for i in range(LANES):
             primitive, t = lane_hit(scene.triangle_count, packet, i)
             if primitive >= 0:
-                caustic = is_specular(scene.kind[scene.material[primitive]])
-                if rays.counts[first + i] == (ON_DIFFUSE if caustic else ON_SPECULAR):
+                caustic = has_specular(scene, primitive)
+                if rays.counts[j, i] == (ON_DIFFUSE if caustic else ON_SPECULAR):
                     primitive = np.int64(-1)
                 hits.first[i], hits.caustic[i] = t, caustic
-                hits.key[i] = rng.subkey(rays.key[first + i], CHAIN)
+                hits.key[i] = rng.subkey(rays.key[j, i], CHAIN)
             hits.primitive[i], hits.distance[i] = primitive, t
         traced += follow_chains(scene, packet, hits.primitive, hits.distance, hits.throughput, hits.key)
         for i in range(LANES):
             if hits.primitive[i] >= 0:
-                top, missing = _land(scene, work, top, i, first + i, bound)
+                top, missing = _land(scene, work, top, i, j, bound)
                 lost += missing
-            rays.reals[first + i, 7] = OUT_OF_USE
+        for i in range(LANES):
+            ray[7, i] = OUT_OF_USE
     top, taken = take(work.waiting, work.now, top)
     return top, taken, traced, lost
 
 
 @inline
-def _land(scene, work, top, i, row, bound):
-    """What ray `row` of vertex i brings home.
+def _land(scene, work, top, i, j, bound):
+    """What the j-th ray of vertex i brings home.
 
     On D: the compensation, the radiance of that vertex times 1 - w (eq. w of weak_singularities). On S: a caustic, the
     whole radiance of the vertex at the end of the specular chain. The vertex waits if it lives through the roulette.
@@ -315,7 +321,7 @@ def _land(scene, work, top, i, row, bound):
         weight = vec.scale(weight, ONE - ws.bounded_share(geometry, sharp * bsdf.peak(scene, other), bound))
     add_light(work, at.lane, layer, light)
     survival = min(bsdf.SURVIVAL, vec.max3(vec.mul(weight, bsdf.albedo(scene, other))))
-    if work.rays.reals[row, 6] >= survival:
+    if work.rays.reals[j, 6, i] >= survival:
         return top, 0
     if top >= work.waiting.key.shape[0]:
         return top, 1
@@ -329,7 +335,7 @@ def _land(scene, work, top, i, row, bound):
         at.depth + 1,
         layer,
         at.lane,
-        rng.subkey(work.rays.key[row], SAMPLE),
+        rng.subkey(work.rays.key[j, i], SAMPLE),
     )
     put(work.waiting, top, found)
     return top + 1, 0

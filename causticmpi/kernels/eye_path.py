@@ -14,7 +14,7 @@ from causticmpi.kernels.embree import (
     lane_origin,
 )
 from causticmpi.kernels.jit import inline
-from causticmpi.kernels.traced_scene import hit_point, is_specular
+from causticmpi.kernels.traced_scene import has_specular, hit_point, is_specular
 from causticmpi.kernels.vec import INFINITY, ONE, ZERO
 
 
@@ -75,7 +75,7 @@ def follow_chains(scene, rays, primitive, distance, throughput, key):
         going = 0
         for i in range(LANES):
             rays[RAY16 + 16 * TFAR + i] = -ONE
-            if primitive[i] < 0 or not is_specular(scene.kind[scene.material[primitive[i]]]):
+            if primitive[i] < 0 or not has_specular(scene, primitive[i]):
                 continue
             origin, direction = lane_origin(rays, i), lane_direction(rays, i)
             p, n, offset = hit_point(scene, primitive[i], origin, direction, distance[i])

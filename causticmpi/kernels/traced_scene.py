@@ -6,7 +6,7 @@ import numpy as np
 
 from causticmpi.kernels import vec, warp
 from causticmpi.kernels.jit import inline
-from causticmpi.kernels.material_kinds import MIRROR
+from causticmpi.kernels.material_kinds import LIGHT_BIT, MIRROR
 from causticmpi.kernels.vec import ALMOST_ONE, ZERO
 
 
@@ -103,3 +103,9 @@ def pick_light(scene, u):
 @inline
 def is_specular(kind):
     return kind >= MIRROR
+
+
+@inline
+def has_specular(scene, primitive):
+    """Whether a primitive is specular, by the smallest of all tables that tell."""
+    return is_specular(scene.primitive_kind[primitive] & ~LIGHT_BIT)

@@ -44,12 +44,17 @@ def _column(feature, i):
 
 @inline
 def _least(values):
-    """Index of the least value, the first of equals."""
-    best, index = values[0], 0
-    for j in range(1, values.shape[0]):
-        if values[j] < best:
-            best, index = values[j], j
-    return index
+    """Index of the least value, none of them below 0; the first of equals.
+
+    In two loops over integers, which become vector code: floats from 0 on have the order of their bits.
+    """
+    bits = values.view(np.int32)
+    least, index = bits[0], np.int32(values.shape[0])
+    for j in range(bits.shape[0]):
+        least = min(least, bits[j])
+    for j in range(bits.shape[0]):
+        index = min(index, np.int32(j) if bits[j] == least else np.int32(bits.shape[0]))
+    return np.int64(index)
 
 
 @inline
