@@ -80,6 +80,7 @@ def test_anchors_know_the_nearest_photons(maps: ForecastMaps) -> None:
             near = near[d2[near - low] < maps.radius**2]
             expected = np.column_stack([maps.direction[near], maps.power[near]])
             found = maps.anchor_photon[anchor, :, :count].T
+            assert (maps.anchor_photon[anchor, :, count:] == 0).all()
             assert count == len(near)
             assert np.array_equal(found[np.lexsort(found.T)], expected[np.lexsort(expected.T)])
 

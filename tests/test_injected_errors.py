@@ -130,26 +130,33 @@ def test_lights_lost_behind_mirrors(
 
 MIXTURE_ERRORS = {
     "no BRDF ray": [  # directions that no photon of the cluster came from are lost
-        (
-            "        if j == 0:\n            direction",
-            "        if j == 0:\n            continue\n            direction",
-        ),
-        ("density = brdf + cm.coarse_pdf", "density = cm.coarse_pdf"),
+        ("if (words[COUNT + i] > j) & (cosine", "if (j > 0) & (words[COUNT + i] > j) & (cosine"),
+        ("density = share * lane[BRDF + i] + lane", "density = lane"),
     ],
     "no fine density": [  # cones are sampled but the other samplers' weights know nothing of it
-        (
-            "density += np.float32(fine) * cm.fine_pdf(maps, near, cluster, anchor, fine_total, direction)",
-            "density += ZERO",
-        ),
+        ("        density = cm.fine_pdf(", "        density = ZERO * cm.fine_pdf("),
+    ],
+    "no cell density": [  # so too of the directions of a cell, of deeper vertices mainly
+        ("        density = cm.cell_pdf(", "        density = ZERO * cm.cell_pdf("),
+    ],
+    "a coin with one side": [  # deeper rays all go by coarse directions, with the density of both samplers
+        ("coarse = ONE if lane[CHOICE + i] >= HALF else ZERO", "coarse = ONE if lane[CHOICE + i] >= ZERO else ZERO"),
     ],
 }
+
+
+FROM_MUTANT_RAYS = (
+    "from causticmpi.estimators import mixture_rays as rays\n",
+    "import mutant_estimators_mixture_rays as rays\n",
+)
 
 
 @pytest.mark.parametrize("name", MIXTURE_ERRORS)
 def test_errors_of_the_mixture(
     scene: SceneData, truth: np.ndarray, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made = mutant("estimators.iws_mixture", tmp_path, *MIXTURE_ERRORS[name])
+    mutant("estimators.mixture_rays", tmp_path, *MIXTURE_ERRORS[name])
+    made = mutant("estimators.iws_mixture", tmp_path, FROM_MUTANT_RAYS)
     monkeypatch.setattr(methods, "trace_iws_mixture", made.trace_iws_mixture)
     assert judge(scene, truth, "mixture").p < CLEAR
 

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from causticmpi.kernels import bsdf, vec
-from causticmpi.kernels.embree import LANES
+from causticmpi.kernels.embree import LANES, aligned_words
 from causticmpi.kernels.jit import inline
 from causticmpi.kernels.material_kinds import DIFFUSE
 from causticmpi.kernels.vec import HALF, INV_TWO_PI, ONE, TWO, ZERO
@@ -24,26 +24,39 @@ from causticmpi.preprocess.cells import KEPT
 from causticmpi.preprocess.directions import COLUMNS, ROWS
 from causticmpi.preprocess.forecast import ForecastMaps
 
+LANE_ROWS = 31
+"""Of `MixtureWork.lane`, told in `mixture_rays`."""
+
 
 class MixtureWork(NamedTuple):
-    """Workspace: cluster, anchor (16,): of the first vertices of a tile, anchor -1 where no photons are near; weight,
-    cdf (n,): weights of an anchor's photons at one vertex, and their running sum; codeword_distance (m,): search.
+    """Workspace, most of it by lane: a vertex that sends its rays.
+
+    cluster, anchor, cell (16,): where it is, anchor and cell -1 where none steers it; total (16,): sum of the weights
+    of its anchor's photons; weight, cdf (16, >= n): these, and their running sum; lane: rows of `mixture_rays`;
+    codeword_distance (m,): search.
     """
 
     cluster: Any
     anchor: Any
+    cell: Any
+    total: Any
     weight: Any
     cdf: Any
+    lane: Any
     codeword_distance: Any
 
 
 def mixture_work(maps: ForecastMaps) -> MixtureWork:
     """Workspace that fits the maps."""
+    photons = maps.anchor_photon.shape[2]
     return MixtureWork(
         cluster=np.zeros(LANES, np.int64),
         anchor=np.zeros(LANES, np.int64),
-        weight=np.zeros(maps.neighbours, np.float32),
-        cdf=np.zeros(maps.neighbours, np.float32),
+        cell=np.zeros(LANES, np.int64),
+        total=np.zeros(LANES, np.float32),
+        weight=np.zeros((LANES, photons), np.float32),
+        cdf=np.zeros((LANES, photons), np.float32),
+        lane=aligned_words(LANES * LANE_ROWS),
         codeword_distance=np.zeros(maps.codebook.shape[1], np.float32),
     )
 
@@ -55,26 +68,26 @@ def photons_near(maps, cluster, p):
 
 
 @inline
-def weigh_fine(scene, maps, work, anchor, n, wo, material):
-    """Weigh an anchor's photons by power, BRDF and cosine at one vertex. Returns their sum, 0 where none counts."""
+def weigh_fine(scene, maps, work, lane, anchor, n, wo, material):
+    """Weigh an anchor's photons by power, BRDF and cosine at a vertex. Returns their sum, 0 where none counts."""
     count = maps.anchor_count[anchor]
-    photons = maps.anchor_photon[anchor]
+    photons, weight, cdf = maps.anchor_photon[anchor], work.weight[lane], work.cdf[lane]
     x, y, z, power = photons[0], photons[1], photons[2], photons[3]
-    for i in range(count):
-        work.weight[i] = max(ZERO, n[0] * x[i] + n[1] * y[i] + n[2] * z[i]) * power[i]
+    for i in range(photons.shape[1]):
+        weight[i] = max(ZERO, n[0] * x[i] + n[1] * y[i] + n[2] * z[i]) * power[i]
     if scene.kind[material] != DIFFUSE:
         for i in range(count):
-            if work.weight[i] > ZERO:
-                work.weight[i] *= vec.luminance(bsdf.evaluate(scene, material, n, wo, (x[i], y[i], z[i])))
+            if weight[i] > ZERO:
+                weight[i] *= vec.luminance(bsdf.evaluate(scene, material, n, wo, (x[i], y[i], z[i])))
     total = ZERO
     for i in range(count):
-        total += work.weight[i]
-        work.cdf[i] = total
+        total += weight[i]
+        cdf[i] = total
     return total
 
 
 @inline
-def _in_cone(axis, height, u, v):
+def in_cone(axis, height, u, v):
     """Uniform direction in a cone; height: 1 - cosine of its half angle, for near 1 the cosine is too coarse in
     float32."""
     height *= u
@@ -84,62 +97,86 @@ def _in_cone(axis, height, u, v):
 
 
 @inline
-def sample_fine(maps, work, cluster, anchor, total, choice, u, v):
-    """Uniform direction in the cone around a photon chosen by weight; total > 0. It may lie below the horizon."""
-    i = pick(work.cdf[: maps.anchor_count[anchor]], choice * total)
+def fine_cone(maps, work, lane, cluster, anchor, total, choice):
+    """A photon chosen by weight, total > 0: direction and height of its cone."""
+    i = pick(work.cdf[lane, : maps.anchor_count[anchor]], choice * total)
     axis = (maps.anchor_photon[anchor, 0, i], maps.anchor_photon[anchor, 1, i], maps.anchor_photon[anchor, 2, i])
-    return _in_cone(axis, ONE - maps.cone[cluster], u, v)
+    return axis, ONE - maps.cone[cluster]
 
 
 @inline
-def fine_pdf(maps, work, cluster, anchor, total, direction):
+def sample_fine(maps, work, lane, cluster, anchor, total, choice, u, v):
+    """Uniform direction in the cone around a photon chosen by weight; total > 0. It may lie below the horizon."""
+    axis, height = fine_cone(maps, work, lane, cluster, anchor, total, choice)
+    return in_cone(axis, height, u, v)
+
+
+@inline
+def fine_pdf(maps, work, lane, cluster, anchor, total, direction):
     """Density of `sample_fine`."""
     if total <= ZERO:
         return ZERO
     height = ONE - maps.cone[cluster]
-    photons = maps.anchor_photon[anchor]
+    photons, weight = maps.anchor_photon[anchor], work.weight[lane]
     x, y, z = photons[0], photons[1], photons[2]
     inside = ZERO
-    for i in range(maps.anchor_count[anchor]):
+    for i in range(photons.shape[1]):
         a, b, c = x[i] - direction[0], y[i] - direction[1], z[i] - direction[2]
         # By the chord, 2 (1 - cosine): a comparison of cosines would lose samples of narrow cones to rounding.
-        inside += work.weight[i] if a * a + b * b + c * c <= TWO * height else ZERO
+        inside += weight[i] if a * a + b * b + c * c <= TWO * height else ZERO
     return inside / total * INV_TWO_PI / height
 
 
 @inline
 def coarse_bin(direction):
     """Bin of a unit direction: azimuth and height about the world's z axis, equal solid angles."""
-    column: Any = min(COLUMNS - 1, np.int64(turns(direction[0], direction[1]) * np.float32(COLUMNS)))
-    row: Any = max(0, min(ROWS - 1, np.int64((direction[2] + ONE) * (HALF * np.float32(ROWS)))))
-    return row * COLUMNS + column
+    column: Any = min(np.int32(COLUMNS - 1), np.int32(turns(direction[0], direction[1]) * np.float32(COLUMNS)))
+    row: Any = max(np.int32(0), min(np.int32(ROWS - 1), np.int32((direction[2] + ONE) * (HALF * np.float32(ROWS)))))
+    return row * np.int32(COLUMNS) + column
 
 
 @inline
-def sample_coarse(maps, cluster, choice, u, v):
-    """Direction from all caustic points of a cluster, uniform within its bin. It may lie below the horizon."""
-    chosen: Any = pick(maps.coarse[cluster], choice)
-    row = chosen // COLUMNS
+def in_coarse_bin(chosen, u, v):
+    """Uniform direction of a bin (int32)."""
+    row = chosen // np.int32(COLUMNS)
     z = (np.float32(row) + u) * (TWO / np.float32(ROWS)) - ONE
-    c, s = turn((np.float32(chosen - row * COLUMNS) + v) * np.float32(1 / COLUMNS))
+    c, s = turn((np.float32(chosen - row * np.int32(COLUMNS)) + v) * np.float32(1 / COLUMNS))
     r = math.sqrt(max(ZERO, ONE - z * z))
     return r * c, r * s, z
 
 
 @inline
+def sample_coarse(maps, cluster, choice, u, v):
+    """Direction from all caustic points of a cluster, uniform within its bin. It may lie below the horizon."""
+    return in_coarse_bin(np.int32(pick(maps.coarse[cluster], choice)), u, v)
+
+
+@inline
 def coarse_pdf(maps, cluster, direction):
     """Density of `sample_coarse`."""
-    i = coarse_bin(direction)
+    return coarse_density(maps, cluster, np.int64(coarse_bin(direction)))
+
+
+@inline
+def coarse_density(maps, cluster, i):
+    """Density of `sample_coarse` in bin i."""
     before = maps.coarse[cluster, i - 1] if i > 0 else ZERO
     return (maps.coarse[cluster, i] - before) * (np.float32(COLUMNS * ROWS) * HALF * INV_TWO_PI)
 
 
 @inline
-def sample_cell(maps, cell, choice, u, v):
-    """Uniform direction in the cone around one of a cell's directions. It may lie below the horizon."""
+def cell_cone(maps, cell, choice):
+    """One of a cell's directions, all alike: direction and height of its cone."""
     i = np.int64(choice * np.float32(KEPT))
     axis = (maps.cell_direction[cell, 0, i], maps.cell_direction[cell, 1, i], maps.cell_direction[cell, 2, i])
-    return _in_cone(axis, ONE - maps.cell_cone[cell], u, v)
+    return axis, ONE - maps.cell_cone[cell]
+
+
+@inline
+def sample_cell(maps, cell, choice, u, v):
+    """Uniform direction in the cone around one of a cell's directions. It may lie below the horizon."""
+    axis, height = cell_cone(maps, cell, choice)
+    return in_cone(axis, height, u, v)
 
 
 @inline

@@ -14,13 +14,14 @@ import numpy as np
 
 from causticmpi.estimators import caustic_mixture as cm
 from causticmpi.estimators import full_radiance as fr
+from causticmpi.estimators import mixture_rays as rays
 from causticmpi.estimators import weak_singularities as ws
 from causticmpi.estimators.caustic_forecast import splitting
 from causticmpi.estimators.vertices import get, put
-from causticmpi.kernels import bsdf, rng, vec
+from causticmpi.kernels import vec
 from causticmpi.kernels.embree import LANES
 from causticmpi.kernels.jit import inline, kernel
-from causticmpi.kernels.vec import ALMOST_ONE, HALF, INFINITY, TWO, ZERO
+from causticmpi.kernels.vec import ZERO
 from causticmpi.preprocess.cells import cell_of
 from causticmpi.preprocess.forecast import cluster_of
 
@@ -53,73 +54,59 @@ def _foresee_tile(maps, work):
 
 
 @inline
-def _send(scene, work, i, j, at, direction, density, survive, key):
-    """Ray j of vertex i by a mixture whose samplers, times how often each is asked, have this density in sum: the
-    balance heuristic [Veach 1997, (9.8)]."""
-    f = bsdf.evaluate(scene, at.material, at.n, at.wo, direction)
-    weight = vec.mul(at.throughput, vec.scale(f, vec.dot(at.n, direction) / density))
-    fr.send(work, i, j, direction, weight, INFINITY, survive, key, fr.ANYTHING)
-
-
-@inline
-def _send_deep(scene, work, maps, i):
-    """The rays of deeper vertex i: one goes by BRDF or coarse directions, by the toss of a coin; DEEP_RAYS more by
-    those of its cell, if there is one."""
-    at = get(work.now, i)
-    cluster = np.int64(cluster_of(maps, at.p, at.n, work.forecast.codeword_distance))
-    cell = cell_of(maps, at.p, at.n)
-    steered = DEEP_RAYS if cell >= 0 else 0
-    for j in range(1 + steered):
-        ray_key = rng.subkey(at.key, fr.SAMPLE + j)
-        choice, survive = rng.uniform2(ray_key, fr.CHOICE)
-        u, v = rng.uniform2(ray_key, fr.DIRECTION)
-        if j > 0:
-            direction = cm.sample_cell(maps, cell, choice, u, v)
-        elif choice < HALF:
-            direction = bsdf.sample(scene, at.material, at.n, at.wo, TWO * choice, u, v)
-        else:
-            direction = cm.sample_coarse(maps, cluster, min(ALMOST_ONE, TWO * (choice - HALF)), u, v)
-        if vec.dot(at.n, direction) <= ZERO:
-            continue
-        brdf = bsdf.pdf(scene, at.material, at.n, at.wo, direction)
-        density = HALF * (brdf + cm.coarse_pdf(maps, cluster, direction))
-        if steered > 0:
-            density += np.float32(steered) * cm.cell_pdf(maps, cell, direction)
-        _send(scene, work, i, j, at, direction, density, survive, ray_key)
-
-
-@inline
-def _send_first(scene, work, maps, i):
-    """The rays of first vertex i."""
-    at = get(work.now, i)
+def _send_first(scene, work, maps):
+    """The rays of the first vertices of a tile whose caustics light tracing does not draw: one by BRDF, one by coarse
+    directions, and S by cones around photons or, where these are thin, one by a cell."""
     near = work.forecast
-    cluster, anchor = near.cluster[i], near.anchor[i]
-    fine_total = cm.weigh_fine(scene, maps, near, anchor, at.n, at.wo, at.material) if anchor >= 0 else ZERO
-    fine = splitting(maps, maps.rank[cluster], 0) if fine_total > ZERO else 0
-    cell = cell_of(maps, at.p, at.n) if fine == 0 else np.int64(-1)
-    steered = fine if fine > 0 else np.int64(cell >= 0)
-    for j in range(steered + 2):
-        ray_key = rng.subkey(at.key, fr.SAMPLE + j)
-        choice, survive = rng.uniform2(ray_key, fr.CHOICE)
-        u, v = rng.uniform2(ray_key, fr.DIRECTION)
-        if j == 0:
-            direction = bsdf.sample(scene, at.material, at.n, at.wo, choice, u, v)
-        elif j == 1:
-            direction = cm.sample_coarse(maps, cluster, choice, u, v)
-        elif fine > 0:
-            stratum = (np.float32(j - 2) + choice) / np.float32(fine)
-            direction = cm.sample_fine(maps, near, cluster, anchor, fine_total, min(ALMOST_ONE, stratum), u, v)
-        else:
-            direction = cm.sample_cell(maps, cell, choice, u, v)
-        if vec.dot(at.n, direction) <= ZERO:
+    rays.begin(work)
+    glossy = False
+    for i in range(LANES):
+        if work.lane[i, 3] == ZERO or work.lane[i, 4] > ZERO:
             continue
-        brdf = bsdf.pdf(scene, at.material, at.n, at.wo, direction)
-        density = brdf + cm.coarse_pdf(maps, cluster, direction)
-        if fine > 0:
-            density += np.float32(fine) * cm.fine_pdf(maps, near, cluster, anchor, fine_total, direction)
-        elif cell >= 0:
-            density += cm.cell_pdf(maps, cell, direction)
-        _send(scene, work, i, j, at, direction, density, survive, ray_key)
+        at = get(work.now, i)
+        near.total[i] = ZERO
+        if near.anchor[i] >= 0:
+            near.total[i] = cm.weigh_fine(scene, maps, near, i, near.anchor[i], at.n, at.wo, at.material)
+        fine = splitting(maps, maps.rank[near.cluster[i]], 0) if near.total[i] > ZERO else 0
+        if fine == 0:
+            near.anchor[i] = -1
+            near.cell[i] = cell_of(maps, at.p, at.n)
+        steered = fine if fine > 0 else np.int64(near.cell[i] >= 0)
+        glossy |= rays.take_up(scene, work, i, 2 + steered)
+    most = rays.most_rays(work)
+    for j in range(most):
+        rays.draw(work, j)
+        if j == 0:
+            rays.by_brdf(scene, work, glossy)
+        elif j == 1:
+            rays.by_cluster(maps, work)
+        else:
+            rays.by_cones(maps, work, j, 2)
+        rays.send(scene, maps, work, j, 2, glossy)
+
+
+@inline
+def _send_deep(scene, work, maps, count):
+    """The rays of `count` deeper vertices: one goes by BRDF or coarse directions, by the toss of a coin; DEEP_RAYS more
+    by those of its cell, if there is one."""
+    near = work.forecast
+    rays.begin(work)
+    glossy = False
+    for i in range(count):
+        at = get(work.now, i)
+        near.cluster[i] = cluster_of(maps, at.p, at.n, near.codeword_distance)
+        near.anchor[i], near.cell[i] = -1, cell_of(maps, at.p, at.n)
+        glossy |= rays.take_up(scene, work, i, 1 + (DEEP_RAYS if near.cell[i] >= 0 else 0))
+    most = rays.most_rays(work)
+    for j in range(most):
+        rays.draw(work, j)
+        if j == 0:
+            rays.toss(work)
+            rays.by_brdf(scene, work, glossy)
+            rays.by_coin(maps, work)
+        else:
+            rays.by_cones(maps, work, j, 1)
+        rays.send(scene, maps, work, j, 1, glossy)
 
 
 @kernel
@@ -136,26 +123,29 @@ def trace_iws_mixture(
     bound = np.float32(bound)
     compensation_reach = math.sqrt(np.float32(most_peak) / bound)
     for first in range(0, pixels.shape[0], LANES):
-        used, rays = fr.see_tile(scene, camera, work, pixels, first, seed, pass_index, splats, lamps)
-        traced += rays
+        used, seen = fr.see_tile(scene, camera, work, pixels, first, seed, pass_index, splats, lamps)
+        traced += seen
         if used > 0:
             traced += fr.gather_lights(scene, work, lights, count, bound)
-            _foresee_tile(maps, work)
+            drawn = 0
             for i in range(LANES):
-                if work.lane[i, 3] == ZERO:
-                    continue
-                put(work.now, i, fr.first_vertex(work, i))
-                if work.lane[i, 4] > ZERO:
+                if work.lane[i, 3] > ZERO:
+                    put(work.now, i, fr.first_vertex(work, i))
+                    drawn += work.lane[i, 4] > ZERO
+            if drawn < used:
+                _foresee_tile(maps, work)
+                _send_first(scene, work, maps)
+            for i in range(LANES):
+                if work.lane[i, 3] > ZERO and work.lane[i, 4] > ZERO:
                     fr.compensate(scene, work, i, get(work.now, i), compensation_reach)
-                else:
-                    _send_first(scene, work, maps, i)
         waiting, sent = 0, used
         while sent > 0:
-            waiting, sent, rays, missing = fr.trace(scene, work, waiting, bound)
-            traced += rays
+            waiting, sent, queries, missing = fr.trace(scene, work, waiting, bound)
+            traced += queries
             lost += missing
             for i in range(sent):
                 traced += fr.gather_few(scene, work, lights, count, few, get(work.now, i), bound)
-                _send_deep(scene, work, maps, i)
+            if sent > 0:
+                _send_deep(scene, work, maps, sent)
         fr.deposit(work, pixels, first, film)
     return traced, lost

@@ -196,13 +196,17 @@ def _padded(array: np.ndarray) -> np.ndarray:
     return raw[: array.nbytes].view(array.dtype).reshape(array.shape)
 
 
+def aligned_words(words: int) -> np.ndarray:
+    """So many float32, all 0, from the beginning of a cache line on."""
+    raw = np.zeros(words * 4 + 64, np.uint8)
+    start = -raw.ctypes.data % 64
+    return raw[start : start + words * 4].view(np.float32)
+
+
 def ray_buffer(extra: int = 0) -> np.ndarray:
     """Aligned workspace for one RTCRayHit (float32 words 0 … 31), a valid mask (32 … 47), RTCIntersectArguments (48 …
     63), one RTCRayHit16 (64 … 447) and `extra` words of the caller's own."""
-    words = RAY16 + 16 * 24 + extra
-    raw = np.zeros(words * 4 + 64, np.uint8)
-    start = -raw.ctypes.data % 64
-    buffer = raw[start : start + words * 4].view(np.float32)
+    buffer = aligned_words(RAY16 + 16 * 24 + extra)
     integers = buffer.view(np.uint32)
     integers[9] = MISS  # mask of the single ray: hit everything
     integers[VALID : VALID + LANES] = MISS  # all lanes valid: lanes out of use get a negative reach instead

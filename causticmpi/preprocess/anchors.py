@@ -11,6 +11,9 @@ import numpy as np
 from causticmpi.kernels.jit import inline, kernel
 from causticmpi.kernels.kdtree import LEAF, MAX_DEPTH, nearest, run_of
 
+PADDING = 64
+"""The photons of an anchor are padded to a multiple of this by some without power or direction: loops over them are
+vector code without a rest."""
 RUN = 2 * LEAF
 """Photons around an anchor, at most: rows of the tree that no plane parts further."""
 SHORTEST = RUN // 2
@@ -50,7 +53,7 @@ def _gather_at_anchors(
     plane,
     runs,
 ):
-    """Fill anchor (anchors, 3), photon (anchors, 4, n) and count (anchors,) from trees over the photons.
+    """Fill anchor (anchors, 3), photon (anchors, 4, >= n) and count (anchors,) from trees over the photons.
 
     distance, row (n,), stack, plane: workspace of `nearest`; runs (2 * MAX_DEPTH,) int64: of the walk.
     """
@@ -84,6 +87,11 @@ def _gather_at_anchors(
                 photon[a, 3, i] = power[row[i]]
 
 
+def padded(neighbours: int) -> int:
+    """Columns that the photons of an anchor take."""
+    return -(-neighbours // PADDING) * PADDING
+
+
 def build_anchors(
     coordinates: tuple[np.ndarray, np.ndarray, np.ndarray],
     axis: np.ndarray,
@@ -97,7 +105,7 @@ def build_anchors(
     rows = np.diff(start)
     anchor_start = np.concatenate([[0], np.cumsum(-(-rows // SHORTEST))]).astype(np.int64)
     anchor = np.zeros((anchor_start[-1], 3), np.float32)
-    photon = np.zeros((anchor_start[-1], 4, neighbours), np.float32)
+    photon = np.zeros((anchor_start[-1], 4, padded(neighbours)), np.float32)
     count = np.zeros(anchor_start[-1], np.int32)
     _gather_at_anchors(
         *coordinates,
@@ -124,6 +132,6 @@ def no_anchors(neighbours: int) -> dict[str, Any]:
     return {
         "anchor_start": np.zeros(1, np.int64),
         "anchor": np.zeros((0, 3), np.float32),
-        "anchor_photon": np.zeros((0, 4, neighbours), np.float32),
+        "anchor_photon": np.zeros((0, 4, padded(neighbours)), np.float32),
         "anchor_count": np.zeros(0, np.int32),
     }

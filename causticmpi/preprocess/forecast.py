@@ -30,8 +30,9 @@ class ForecastMaps(NamedTuple):
     x, y, z, power (k,) float32, direction (k, 3) float32, axis (k,) uint8: forecast photons in tree order
     coarse (m, bins) float32: running sums of each cluster's directions; cone (m,) float32: cosine of its cones' half
     angle (see directions.py)
-    anchor_start (m+1,) int64: the anchors of each cluster; anchor (anchors, 3), anchor_photon (anchors, 4, n) float32:
-    direction and power of the photons nearest to each; anchor_count (anchors,) int32: how many (see anchors.py)
+    anchor_start (m+1,) int64: the anchors of each cluster; anchor (anchors, 3), anchor_photon (anchors, 4, n or more)
+    float32: direction and power of the photons nearest to each; anchor_count (anchors,) int32: how many they are (see
+    anchors.py)
     cell_size [scene units]; cell_key, cell_row (2^k,): hash table of occupied cells; cell_direction (cells, 3, KEPT),
     cell_cone (cells,) float32: their directions and the cosine of their cones' half angle (see cells.py)
     normal_scale, radius: scene units; columns, rows: bins of the directional tables; neighbours: n
