@@ -16,6 +16,7 @@ from causticmpi.config.records import RenderConfig
 from causticmpi.distributed.clock import Stopwatch
 from causticmpi.distributed.prepare import prepare_forecast
 from causticmpi.distributed.world import SerialWorld
+from causticmpi.preprocess.anchors import build_anchors
 from causticmpi.preprocess.directions import NARROWEST, WIDEST
 from causticmpi.preprocess.forecast import ForecastMaps
 from causticmpi.scene.data import SceneData
@@ -134,6 +135,9 @@ def poisoned(scene: SceneData, config: RenderConfig, how: str) -> ForecastMaps:
     else:
         assert how == "no power"
         arrays["power"][:] = 0
+    places, photons = (arrays["x"], arrays["y"], arrays["z"]), (arrays["direction"], arrays["power"])
+    run = arrays["axis"], *photons, arrays["start"], maps.radius, maps.neighbours
+    arrays |= build_anchors(places, *run)  # the photons that the mixture asks tell the same lies
     for name, array in arrays.items():  # else the kernels would be compiled for another type
         array.setflags(write=getattr(maps, name).flags.writeable)
     return maps._replace(**arrays)
