@@ -150,7 +150,9 @@ def case(name: str, folder: Path) -> SceneData:
 @pytest.mark.parametrize("sampling", SAMPLINGS)
 @pytest.mark.parametrize("name", CASES)
 def test_forecasts_against_paths(name: str, sampling: str, tmp_path: Path) -> None:
-    assert_agree(case(name, tmp_path), ("iws+cf", 1000), ("pt", 4000), sampling=sampling)
+    # Through gloss a caustic path is rare and bright: 1000 passes miss some.
+    passes = 4000 if name == "satin and gloss" else 1000
+    assert_agree(case(name, tmp_path), ("iws+cf", passes), ("pt", 4000), sampling=sampling)
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -161,7 +163,7 @@ def test_paths_against_brute_force(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("sampling", SAMPLINGS)
 @pytest.mark.parametrize("bound", [0.05, 50.0])
 def test_gloss_at_any_bound(bound: float, sampling: str, tmp_path: Path) -> None:
-    """Many passes and coarse blocks: through gloss a caustic path is rare and bright, and 1000 passes miss some."""
+    """Many passes and coarse blocks, for what is said above."""
     scene = case("satin and gloss", tmp_path)
     assert_agree(scene, ("iws+cf", 6000), ("pt", 12000), blocks=2, sampling=sampling, bound=bound)
 

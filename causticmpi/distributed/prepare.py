@@ -17,6 +17,7 @@ from causticmpi.preprocess.guides import Guides, learn_guides, no_guides
 from causticmpi.preprocess.lamp_sight import LampSight, lamp_sight, seen_in_passing
 from causticmpi.preprocess.photon_map import PhotonMap, build_photon_map, no_photon_map
 from causticmpi.preprocess.photons import CausticPoints, shoot_photons
+from causticmpi.preprocess.view import extent_in_view, see_views
 from causticmpi.render.foresight import of_photon_map, of_photons
 from causticmpi.render.methods import BY_CHANCE, FORECASTING, Method, bound_of, make_method
 from causticmpi.render.pilot import Plan, find_lamps, needs_pilot, run_pilot
@@ -57,13 +58,14 @@ def share_scene(world: World, scene: SceneData | None, watertight: bool = False)
 @dataclass
 class Forecasting:
     """`ForecastMaps` on this rank, or the `PhotonMap` of `iws+pm`, and what their making told: photons found, particles
-    emitted, rays, warnings."""
+    emitted, rays, warnings. extent: of what the eye sees [scene units]."""
 
     maps: Any
     photons: int = 0
     emitted: int = 0
     rays: int = 0
     warnings: tuple[str, ...] = ()
+    extent: float = 0.0
     guides: Guides = field(default_factory=no_guides)
     sight: LampSight = field(default_factory=seen_in_passing)
     plan: Plan | None = None
@@ -79,7 +81,7 @@ def prepare_method(
 ) -> tuple[Method, Forecasting]:
     """Collective. The whole preprocess, and the method on every rank. camera: see kernels.camera."""
     made = prepare_forecast(world, config, scene, watch)
-    made.guides = _prepare_guides(world, config, scene, camera, watch)
+    made.extent, made.guides = _prepare_guides(world, config, scene, camera, watch)
     small_sight = _look_for_lamps(world, config, scene, watch)
     side = small_sight.side
     if needs_pilot(config, made.maps):
@@ -89,19 +91,22 @@ def prepare_method(
         if made.plan.plain:
             made.maps = no_forecast()
     made.sight = _prepare_sight(world, config, scene, camera, side, watch)
-    return make_method(config, scene.traced, camera, made.maps, scene.extent, made.guides, made.sight), made
+    return make_method(config, scene.traced, camera, made.maps, made.extent, made.guides, made.sight), made
 
 
 def _prepare_guides(
     world: World, config: RenderConfig, scene: PreparedScene, camera: np.ndarray, watch: Stopwatch
-) -> Guides:
-    """Rank 0 learns where from the lights the picture is lit; path tracing has no use for it."""
-    guides = no_guides()
+) -> tuple[float, Guides]:
+    """Rank 0 learns how far what the eye sees extends [scene units], that of the scene if it sees nothing, and where
+    from the lights it is lit; path tracing has no use for it."""
+    extent_seen, guides = scene.extent, no_guides()
     if world.is_root and config.method not in BY_CHANCE:
-        film, bound = config.film, bound_of(config, scene.extent)
+        picture = (scene.traced, camera, config.film.width, config.film.height, config.seed)
         with watch.stage("guides"):
-            guides = learn_guides(scene.traced, camera, film.width, film.height, config.seed, bound)
-    return world.broadcast(guides)
+            views = see_views(*picture)
+            extent_seen = extent_in_view(views) or scene.extent
+            guides = learn_guides(*picture, bound_of(config, extent_seen), views)
+    return world.broadcast(extent_seen), world.broadcast(guides)
 
 
 def _look_for_lamps(world: World, config: RenderConfig, scene: PreparedScene, watch: Stopwatch) -> LampSight:
@@ -143,7 +148,7 @@ def _prepare_plan(
     if world.is_root:
         with watch.stage("pilot"):
             common = (config, scene.data, scene.traced)
-            plan = run_pilot(*common, made.maps, scene.extent, made.guides, small_sight, RELMSE_FLOOR)
+            plan = run_pilot(*common, made.maps, made.extent, made.guides, small_sight, RELMSE_FLOOR)
     shared: Plan = world.broadcast(plan)
     return shared
 

@@ -34,6 +34,7 @@ from causticmpi.preprocess import (
     photon_map,
     photons,
     vector_quantization,
+    view,
 )
 from causticmpi.preprocess import guides as guides_room
 from causticmpi.preprocess.forecast import ForecastMaps, build_forecast
@@ -56,7 +57,7 @@ KERNELS = [
     iws_pm.trace_iws_pm,
     lamps_in_sight.see_lamps,
     photons._shoot,
-    guides_room._see_views,
+    view._see_views,
     guides_room._shoot,
     anchors._gather_at_anchors,
     cells._keys,
@@ -132,7 +133,7 @@ def warm_up(config: RenderConfig, root: bool, forecasting: bool) -> bool:
         features.first_hits(scene.traced, camera, rays, pixels, np.zeros((16, 7), np.float32))
     mapping = config.method == "iws+pm"
     if root and config.method not in BY_CHANCE:
-        learn_guides(scene.traced, camera, 4, 4, 0, 1.0)
+        learn_guides(scene.traced, camera, 4, 4, 0, 1.0, view.see_views(scene.traced, camera, 4, 4, 0))
         lamp_sight.lamp_sight(scene.data, camera, 4, 4, 1)
     if root and (forecasting or mapping):
         shoot_photons(scene.traced, 0, 1)

@@ -9,20 +9,17 @@ from typing import NamedTuple
 import numpy as np
 
 from causticmpi.kernels import bsdf, emission, particles, rng, vec
-from causticmpi.kernels.camera import film_position, primary_ray
-from causticmpi.kernels.embree import intersect, ray_buffer, visible
+from causticmpi.kernels.camera import film_position
+from causticmpi.kernels.embree import ray_buffer, visible
 from causticmpi.kernels.emission import EmissionGuide, emission_guide, natural_emission
-from causticmpi.kernels.eye_path import facing, follow_chain
 from causticmpi.kernels.jit import kernel
 from causticmpi.kernels.traced_scene import TracedScene, pick_light
-from causticmpi.kernels.vec import INFINITY, INV_PI, WHITE, ZERO
+from causticmpi.kernels.vec import INV_PI, ZERO
 
 CELLS = 16
 """Cells of a guide in each direction of the square."""
 GROUPS = 64
 """At most so many groups of lights."""
-VIEWS = 4096
-"""Points seen by the eye that stand for the picture."""
 PARTICLES_PER_CELL = 256
 RAYS_PER_PIXEL = 2.5
 """Rays of light tracing in a pass: a fraction of what the eye paths of a pixel take."""
@@ -45,37 +42,12 @@ def no_guides() -> Guides:
 
 
 @kernel
-def _see_views(scene, camera, rays, width, height, seed, views):
-    """Fill views (n, 9): non-specular points behind random film positions, off their surfaces, normals, throughput.
-
-    A position that sees nothing gives a row of throughput 0.
-    """
-    for i in range(views.shape[0]):
-        key = rng.make_key(seed, rng.GUIDE, 0, i)
-        u, v = rng.uniform2(key, 0)
-        origin, direction = primary_ray(camera, u * np.float32(width), v * np.float32(height))
-        primitive, t = intersect(scene.handle, scene.triangle_count, rays, origin, direction, INFINITY)
-        primitive, p, n, offset, direction, throughput, _ = follow_chain(
-            scene, rays, origin, direction, primitive, t, WHITE, rng.subkey(key, 1)
-        )
-        for c in range(3):
-            views[i, 6 + c] = ZERO
-        if primitive < 0:
-            continue
-        n = facing(n, direction)
-        p = vec.along(p, n, offset)
-        light = vec.mul(throughput, bsdf.albedo(scene, scene.material[primitive]))
-        for c in range(3):
-            views[i, c], views[i, 3 + c], views[i, 6 + c] = p[c], n[c], light[c]
-
-
-@kernel
 def _shoot(scene, camera, rays, guide, width, height, seed, first, last, bound, views, squares):
     """Squared contributions of particles first … last-1 by the cell of the square they left in.
 
-    squares (2, groups, cells, cells) float64: of their virtual lights to one of the views, of the caustics they draw on
-    the film [arbitrary units]; by the cell before the guide moved it. Returns particles that drew, surfaces met, and
-    rays traced.
+    views: see `view.see_views`; squares (2, groups, cells, cells) float64: of their virtual lights to one of the views,
+    of the caustics they draw on the film [arbitrary units]; by the cell before the guide moved it. Returns particles
+    that drew, surfaces met, and rays traced.
     """
     drew, met, traced = 0, 0, 0
     groups, cells = squares.shape[1], squares.shape[2]
@@ -128,17 +100,17 @@ def _shoot(scene, camera, rays, guide, width, height, seed, first, last, bound, 
     return drew, met, traced
 
 
-def learn_guides(scene: TracedScene, camera: np.ndarray, width: int, height: int, seed: int, bound: float) -> Guides:
+def learn_guides(
+    scene: TracedScene, camera: np.ndarray, width: int, height: int, seed: int, bound: float, views: np.ndarray
+) -> Guides:
     """Shoot particles by natural emission, learn from them, and keep a guide where fresh particles show that it pays.
 
-    camera: see kernels.camera; bound: b [units^-2]. What pays is judged by squared contribution times cost: of virtual
-    lights their number, of light paths their rays.
+    camera: see kernels.camera; bound: b [units^-2]; views: see `view.see_views`. What pays is judged by squared
+    contribution times cost: of virtual lights their number, of light paths their rays.
     """
     groups = min(len(scene.light_cdf), GROUPS)
     count = groups * CELLS * CELLS * PARTICLES_PER_CELL
-    views = np.zeros((VIEWS, 9), np.float32)
     rays = ray_buffer()
-    _see_views(scene, camera, rays, width, height, seed, views)
 
     def shoot(guide: EmissionGuide, run: int) -> tuple[np.ndarray, int, int, int]:
         squares = np.zeros((2, groups, CELLS, CELLS))

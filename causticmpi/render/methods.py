@@ -234,9 +234,9 @@ def make_method(
     guides: Guides | None = None,
     sight: LampSight | None = None,
 ) -> Method:
-    """The configured method. maps: a photon map for `iws+pm`; extent: diagonal of the scene [scene units], for the
-    automatic bound; guides: natural emission, and no light tracing, if there are none; sight: lamps are seen in
-    passing if there is none."""
+    """The configured method. maps: a photon map for `iws+pm`; extent: diagonal of what the eye sees [scene
+    units], for the automatic bound; guides: natural emission, and no light tracing, if there are none; sight: lamps are
+    seen in passing if there is none."""
     common: dict[str, Any] = {"scene": scene, "camera": camera, "seed": config.seed}
     if config.method == "pt":
         return PathTracing(**common)
@@ -278,7 +278,7 @@ BOUND_FACTOR = 100.0
 
 
 def automatic_bound(extent: float) -> float:
-    """b [units^-2] from the scene's diagonal: connections shorter than about a tenth of it are compensated."""
+    """b [units^-2] from the diagonal of what the eye sees: connections shorter than a tenth of it are compensated."""
     return BOUND_FACTOR / (extent * extent)
 
 

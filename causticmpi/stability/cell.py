@@ -83,13 +83,15 @@ class Measured:
 class Bench:
     """A scene in this process and one method with its forecast, ready for passes.
 
-    preprocess: CPU seconds that the forecast took; pixels (n, 4): the film's, as by `pixel_order`.
+    extent: of what the eye sees [scene units]; preprocess: CPU seconds that the forecast took; pixels (n, 4): the
+    film's, as by `pixel_order`.
     """
 
     scene: PreparedScene
     config: RenderConfig
     method: Method
     maps: ForecastMaps
+    extent: float
     preprocess: float
     pixels: np.ndarray
 
@@ -125,13 +127,14 @@ def set_up(scene_file: Path, config: RenderConfig, lie: str = "none") -> Bench:
     camera = camera_array(data.camera, film.width, film.height)
     if lie == "none":
         method, made = prepare_method(world, config, scene, camera, Stopwatch(from_now=True))
-        maps = made.maps
+        maps, extent = made.maps, made.extent
     else:
+        extent = scene.extent
         maps = share_maps(world, _lying_maps(config, data, lie))
-        method = make_method(config, scene.traced, camera, maps, scene.extent)
+        method = make_method(config, scene.traced, camera, maps, extent)
     preprocess = time.process_time() - began
     pixels = pixel_order(film.window, film.width)
-    return Bench(scene, config, method, maps, preprocess, pixels)
+    return Bench(scene, config, method, maps, extent, preprocess, pixels)
 
 
 _COMPILED: set[tuple[str, str, bool]] = set()
@@ -240,7 +243,7 @@ def measure(bench: Bench, label: str, passes: int, batches: int, first_pass: int
         caustic=caustic,
         brightest=bench.scene.brightest,
         radius=float(getattr(bench.maps, "radius", float("nan"))),
-        bound=automatic_bound(bench.scene.extent),
+        bound=automatic_bound(bench.extent),
         seed=bench.config.seed,
         by_chance=bench.config.method in BY_CHANCE or _without_photons(bench.config),
         warnings=of_scene(bench.config, bench.scene.data),
