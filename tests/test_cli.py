@@ -48,6 +48,7 @@ def test_help_and_version() -> None:
     assert (done.returncode, done.stdout) == (0, f"causticmpi {__version__}\n")
 
 
+@pytest.mark.usefixtures("out")  # its kernels are on disk: to compile them may outlast any patience
 def test_the_console_script_is_the_same_program(tmp_path: Path) -> None:
     entry = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]["causticmpi"]
     module, _, function = entry.partition(":")
