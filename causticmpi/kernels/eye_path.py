@@ -13,7 +13,7 @@ from causticmpi.kernels.embree import (
     lane_hit,
     lane_origin,
 )
-from causticmpi.kernels.jit import inline
+from causticmpi.kernels.jit import inline, prefetch
 from causticmpi.kernels.traced_scene import has_specular, hit_point, is_specular
 from causticmpi.kernels.vec import INFINITY, ONE, ZERO
 
@@ -61,6 +61,11 @@ def follow_chain(scene, rays, origin, direction, primitive, t, throughput, key):
     return primitive, p, n, offset, direction, throughput, traced
 
 
+FAR = 1 << 14
+"""From so many triangles on, the rows of `surface` that a packet has hit are asked for before they are needed: half a
+MiB and more lies far away. It takes 6 % off the caustics of the pool (33,000), and adds 2 % to the ring's (12,000)."""
+
+
 @inline
 def follow_chains(scene, rays, primitive, distance, throughput, key):
     """`follow_chain` for the lanes of the packet in `rays`, side by side.
@@ -73,6 +78,9 @@ def follow_chains(scene, rays, primitive, distance, throughput, key):
     bounce = 0
     while True:
         going = 0
+        if scene.triangle_count >= FAR:
+            for i in range(LANES):
+                prefetch(scene.surface.ctypes.data + 32 * max(np.int64(0), primitive[i]))
         for i in range(LANES):
             rays[RAY16 + 16 * TFAR + i] = -ONE
             if primitive[i] < 0 or not has_specular(scene, primitive[i]):
