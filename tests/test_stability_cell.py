@@ -24,8 +24,8 @@ def test_hits_are_counted_by_passes_and_without_colour(monkeypatch: pytest.Monke
 
     monkeypatch.setattr(cell, "whole_pass", whole_pass)
     monkeypatch.setattr(cell, "of_scene", lambda *_: ())
-    scene = SimpleNamespace(brightest=1.0, extent=1.0, data=None)
-    bench = Bench(scene, config_for(8, 1, {"method": "iws+cf"}), None, None, 0.0, np.arange(64))  # type: ignore[arg-type]
+    scene, config = SimpleNamespace(brightest=1.0, data=None), config_for(8, 1, {"method": "iws+cf"})
+    bench = Bench(scene, config, None, None, 1.0, 0.0, np.arange(64))  # type: ignore[arg-type]
     found = measure(bench, "cf", PASSES // BATCHES, BATCHES)
     assert 10 < found.hits < 40 < FEW_HITS and found.passes == PASSES
 
