@@ -136,12 +136,6 @@ MIXTURE_ERRORS = {
     "no fine density": [  # cones are sampled but the other samplers' weights know nothing of it
         ("        density = cm.fine_pdf(", "        density = ZERO * cm.fine_pdf("),
     ],
-    "no cell density": [  # so too of the directions of a cell, of deeper vertices mainly
-        ("        density = cm.cell_pdf(", "        density = ZERO * cm.cell_pdf("),
-    ],
-    "a coin with one side": [  # deeper rays all go by coarse directions, with the density of both samplers
-        ("coarse = ONE if lane[CHOICE + i] >= HALF else ZERO", "coarse = ONE if lane[CHOICE + i] >= ZERO else ZERO"),
-    ],
 }
 
 
