@@ -100,20 +100,6 @@ def by_brdf(scene, work, glossy):
 
 
 @inline
-def by_cluster(maps, work):
-    """DIRECTION from the coarse directions of the cluster."""
-    near = work.forecast
-    lane = near.lane
-    words = lane.view(np.int32)
-    for i in range(LANES):
-        words[BIN + i] = 0
-        if words[COUNT + i] > 0:
-            words[BIN + i] = warp.pick(maps.coarse[near.cluster[i]], lane[CHOICE + i])
-    for i in range(LANES):
-        put3(lane, DIRECTION, i, cm.in_coarse_bin(words[BIN + i], lane[U + i], lane[V + i]))
-
-
-@inline
 def by_coin(maps, work):
     """DIRECTION from the coarse directions where COIN says so, else as it is."""
     near = work.forecast
@@ -127,6 +113,15 @@ def by_coin(maps, work):
         x, y, z = cm.in_coarse_bin(words[BIN + i], lane[U + i], lane[V + i])
         coarse, other = lane[COIN + i] > ZERO, get3(lane, DIRECTION, i)
         put3(lane, DIRECTION, i, (x if coarse else other[0], y if coarse else other[1], z if coarse else other[2]))
+
+
+@inline
+def by_cluster(maps, work):
+    """DIRECTION from the coarse directions of the cluster."""
+    lane = work.forecast.lane
+    for i in range(LANES):
+        lane[COIN + i] = ONE
+    by_coin(maps, work)
 
 
 @inline
