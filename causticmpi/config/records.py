@@ -73,7 +73,7 @@ class Budget(Record):
 class Iws(Record):
     """Illumination by Weak Singularities [CF sec. 3.1].
 
-    paths: particle paths per pass; bound: b of the geometry term in scene units^-2, `auto` derives it from the scene;
+    paths: particle paths per pass; bound: b of the geometry term in scene units^-2, `auto`: by what the eye sees;
     deep_lights: virtual lights looked at from the second diffuse vertex on (an unbiased random subset).
     """
 
