@@ -106,7 +106,8 @@ def _prepare_guides(
             views = see_views(*picture)
             extent_seen = extent_in_view(views) or scene.extent
             guides = learn_guides(*picture, bound_of(config, extent_seen), views)
-    return world.broadcast(extent_seen), world.broadcast(guides)
+    seen: tuple[float, Guides] = world.broadcast((extent_seen, guides))
+    return seen
 
 
 def _look_for_lamps(world: World, config: RenderConfig, scene: PreparedScene, watch: Stopwatch) -> LampSight:

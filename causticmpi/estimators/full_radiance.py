@@ -17,6 +17,7 @@ from causticmpi.estimators.vertices import WAITING, Vertex, Vertices, empty_vert
 from causticmpi.kernels import bsdf, lanes, rng, vec
 from causticmpi.kernels.camera import see_packet
 from causticmpi.kernels.embree import (
+    DIR,
     LANES,
     RAY16,
     TFAR,
@@ -38,7 +39,7 @@ DIFFUSIVE, CAUSTIC = 0, 1
 ANYTHING, ON_DIFFUSE, ON_SPECULAR = 0, 1, 2
 """What counts of what a ray hits: on D it is a compensation, on S a caustic."""
 RAY_WORDS = 8
-_RAY = RAY_WORDS * LANES
+PACKET_WORDS = RAY_WORDS * LANES
 OUT_OF_USE = np.float32(-1)
 
 
@@ -269,8 +270,8 @@ def trace(scene, work, top, bound):
         if sent == 0:
             continue
         for c in range(3):
-            lanes.copy(rays.reals, _RAY * j + LANES * c, packet, RAY16 + 16 * (4 + c))
-        lanes.copy(rays.reals, _RAY * j + LANES * 7, packet, RAY16 + 16 * TFAR)
+            lanes.copy(rays.reals, PACKET_WORDS * j + LANES * c, packet, RAY16 + 16 * (DIR + c))
+        lanes.copy(rays.reals, PACKET_WORDS * j + LANES * 7, packet, RAY16 + 16 * TFAR)
         for i in range(LANES):
             for c in range(3):
                 packet[RAY16 + 16 * c + i] = work.now.reals[i, c]

@@ -13,6 +13,7 @@ import numpy as np
 from causticmpi.kernels import bsdf, rng, vec
 from causticmpi.kernels.camera import primary_ray
 from causticmpi.kernels.embree import (
+    DIR,
     LANES,
     RAY16,
     TFAR,
@@ -70,7 +71,7 @@ def _set_out(work, lane, origin, direction, throughput, pixel, bounce, key):
     packet, now = work.packet, work.now
     for c in range(3):
         packet[RAY16 + 16 * c + lane] = origin[c]
-        packet[RAY16 + 16 * (4 + c) + lane] = direction[c]
+        packet[RAY16 + 16 * (DIR + c) + lane] = direction[c]
         now.reals[lane, THROUGHPUT + c] = throughput[c]
     packet[RAY16 + 16 * 3 + lane] = ZERO
     packet[RAY16 + 16 * TFAR + lane] = INFINITY

@@ -188,7 +188,7 @@ def send(scene, maps, work, j, others, glossy):
     for i in range(LANES):
         lane[REACH + i] = lane[REACH + i] if vec.max3(get3(lane, WEIGHT, i)) > ZERO else fr.OUT_OF_USE
     for row in range(fr.RAY_WORDS):
-        lanes.copy(lane, DIRECTION + LANES * row, rays.reals, fr.RAY_WORDS * LANES * j + LANES * row)
+        lanes.copy(lane, DIRECTION + LANES * row, rays.reals, fr.PACKET_WORDS * j + LANES * row)
     keys = lane.view(np.uint64)
     for i in range(LANES):
         rays.counts[j, i] = fr.ANYTHING

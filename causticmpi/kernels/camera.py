@@ -3,7 +3,7 @@
 import numpy as np
 
 from causticmpi.kernels import rng, vec
-from causticmpi.kernels.embree import LANES, RAY16, TFAR, intersect_neighbours
+from causticmpi.kernels.embree import DIR, LANES, RAY16, TFAR, intersect_neighbours
 from causticmpi.kernels.jit import inline
 from causticmpi.kernels.vec import INFINITY, ONE, ZERO
 
@@ -42,7 +42,7 @@ def see_packet(scene, camera, rays, pixels, first, seed, pass_index):
         )
         for c in range(3):
             rays[RAY16 + 16 * c + i] = origin[c]
-            rays[RAY16 + 16 * (4 + c) + i] = direction[c]
+            rays[RAY16 + 16 * (DIR + c) + i] = direction[c]
         rays[RAY16 + 16 * 3 + i] = ZERO
         rays[RAY16 + 16 * TFAR + i] = INFINITY if sees else -ONE
         used += sees

@@ -4,6 +4,7 @@ import numpy as np
 
 from causticmpi.kernels import bsdf, rng, vec
 from causticmpi.kernels.embree import (
+    DIR,
     LANES,
     RAY16,
     TFAR,
@@ -13,8 +14,8 @@ from causticmpi.kernels.embree import (
     lane_hit,
     lane_origin,
 )
-from causticmpi.kernels.jit import inline, prefetch
-from causticmpi.kernels.traced_scene import has_specular, hit_point, is_specular
+from causticmpi.kernels.jit import inline
+from causticmpi.kernels.traced_scene import ask_for_surface, has_specular, hit_point, is_specular
 from causticmpi.kernels.vec import INFINITY, ONE, ZERO
 
 
@@ -80,7 +81,7 @@ def follow_chains(scene, rays, primitive, distance, throughput, key):
         going = 0
         if scene.triangle_count >= FAR:
             for i in range(LANES):
-                prefetch(scene.surface.ctypes.data + 32 * max(np.int64(0), primitive[i]))
+                ask_for_surface(scene, primitive[i])
         for i in range(LANES):
             rays[RAY16 + 16 * TFAR + i] = -ONE
             if primitive[i] < 0 or not has_specular(scene, primitive[i]):
@@ -100,7 +101,7 @@ def follow_chains(scene, rays, primitive, distance, throughput, key):
                 continue
             for c in range(3):
                 rays[RAY16 + 16 * c + i] = p[c]
-                rays[RAY16 + 16 * (4 + c) + i] = direction[c]
+                rays[RAY16 + 16 * (DIR + c) + i] = direction[c]
                 throughput[i, c] = w[c]
             rays[RAY16 + 16 * TFAR + i] = INFINITY
             going += 1

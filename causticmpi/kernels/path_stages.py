@@ -8,10 +8,10 @@ import numpy as np
 from causticmpi.kernels import bsdf, lanes, rng, vec, warp
 from causticmpi.kernels import path_layout as at
 from causticmpi.kernels.embree import DIR, GEOM, LANES, MISS, PRIM, RAY16, TFAR, VALID, rtc_intersect16
-from causticmpi.kernels.jit import inline, prefetch
+from causticmpi.kernels.jit import inline
 from causticmpi.kernels.material_kinds import LIGHT_BIT, MIRROR
 from causticmpi.kernels.path_layout import get3, put3
-from causticmpi.kernels.traced_scene import OFFSET, is_specular
+from causticmpi.kernels.traced_scene import OFFSET, ask_for_surface, is_specular
 from causticmpi.kernels.vec import ALMOST_ONE, HALF, INFINITY, ONE, TWO, ZERO
 
 CHOICE, DIRECTION, LIGHT, BRANCH = 0, 1, 2, 3
@@ -87,10 +87,10 @@ def number_hits(scene, work, packet):
 
 @inline
 def ask_for_hits(scene, work, packet):
-    """Have the rows of `surface` that a packet has hit brought near: they are far away in a large mesh."""
+    """Have the rows of `surface` that a packet has hit brought near."""
     words = work.view(np.int32)
     for i in range(LANES):
-        prefetch(scene.surface.ctypes.data + 32 * max(np.int64(0), np.int64(words[packet + 16 * PRIM + i])))
+        ask_for_surface(scene, words[packet + 16 * PRIM + i])
 
 
 @inline

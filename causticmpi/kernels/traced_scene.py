@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from causticmpi.kernels import vec, warp
-from causticmpi.kernels.jit import inline
+from causticmpi.kernels.jit import inline, prefetch
 from causticmpi.kernels.material_kinds import LIGHT_BIT, MIRROR
 from causticmpi.kernels.vec import ALMOST_ONE, ZERO
 
@@ -103,6 +103,12 @@ def pick_light(scene, u):
 @inline
 def is_specular(kind):
     return kind >= MIRROR
+
+
+@inline
+def ask_for_surface(scene, primitive):
+    """Have the row of `surface` of a primitive, -1 for none, brought near: it is far away in a large mesh."""
+    prefetch(scene.surface.ctypes.data + 32 * max(np.int64(0), np.int64(primitive)))
 
 
 @inline

@@ -22,13 +22,13 @@ import msgspec
 from causticmpi import __version__
 from causticmpi.compare.charts import as_png, require_matplotlib
 from causticmpi.compare.metrics import ReferencePicture
+from causticmpi.compare.page import save
 from causticmpi.compare.tables import to_csv, to_markdown
 from causticmpi.config.command_line import Parser, count, one_line, positive
 from causticmpi.config.load import load_config
 from causticmpi.config.records import RenderConfig
 from causticmpi.errors import InputError
 from causticmpi.kernels.jit import cache_directory
-from causticmpi.output.directory import write_whole
 from causticmpi.peers.chart import chart
 from causticmpi.peers.recording import Recording, Task, budgets, load
 from causticmpi.peers.references import find_reference, from_halves
@@ -156,8 +156,9 @@ def compare_scene(name: str, config_file: Path, arguments: argparse.Namespace) -
             points += found
             notes += told
     if points:
-        _write(arguments.out / f"{name}.md", to_markdown(table(name, points, [note for note in notes if note])))
-        _write(arguments.out / f"{name}.csv", to_csv(raw_table(name, points)))
+        made = table(name, points, [note for note in notes if note])
+        save(arguments.out / f"{name}.md", to_markdown(made).encode())
+        save(arguments.out / f"{name}.csv", to_csv(raw_table(name, points)).encode())
     return points
 
 
@@ -191,15 +192,10 @@ def compare(arguments: argparse.Namespace) -> None:
         points = compare_scene(file.stem, file, arguments)
         if points:
             results[file.stem] = points
-            _write(arguments.out / f"{file.stem}.png", as_png(chart({file.stem: points})))
+            save(arguments.out / f"{file.stem}.png", as_png(chart({file.stem: points})))
     if results:
-        _write(arguments.out / "peers.png", as_png(chart(results)))
+        save(arguments.out / "peers.png", as_png(chart(results)))
         say(f"{arguments.out}: peers.png, and a table (.md, .csv) and a chart (.png) for each scene")
-
-
-def _write(path: Path, content: str | bytes) -> None:
-    data = content.encode() if isinstance(content, str) else content
-    write_whole(path, lambda temporary: temporary.write_bytes(data))
 
 
 def say(line: str) -> None:
