@@ -4,101 +4,130 @@ import numba
 import numpy as np
 import pytest
 from test_forecast import build, caustic_points
+from test_parallax import naive_settle
 
 from causticmpi.kernels import vec
-from causticmpi.preprocess.anchors import RUN, SHORTEST, anchor_of
+from causticmpi.preprocess.anchors import COMPANIONS, FACINGS, REACH, RUN, SHORTEST, anchor_of
 from causticmpi.preprocess.forecast import ForecastMaps, no_forecast
+from causticmpi.preprocess.parallax import CURVATURE, HEIGHT, POWER
+
+HALF_AXES = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], np.float32)
+POINTS = caustic_points(3000)
+LUMINANCE = POINTS.power.astype(np.float64) @ [0.2126, 0.7152, 0.0722]
+FACING = (POINTS.normal @ HALF_AXES.T).argmax(axis=1)
 
 
 @numba.njit
-def run_anchor_of(maps, cluster, points, out):
+def run_anchor_of(maps, points, normals, out):
     for i in range(points.shape[0]):
-        out[i] = anchor_of(maps, cluster, vec.row(points, i))
+        out[i] = anchor_of(maps, vec.row(points, i), vec.row(normals, i))
 
 
-def anchors(maps: ForecastMaps, cluster: int, points: np.ndarray) -> np.ndarray:
+def anchors(maps: ForecastMaps, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
     out = np.zeros(len(points), np.int64)
-    run_anchor_of(maps, cluster, points.astype(np.float32), out)
+    run_anchor_of(maps, points.astype(np.float32), normals.astype(np.float32), out)
     return out
 
 
-def runs(maps: ForecastMaps, cluster: int) -> list[tuple[int, int]]:
-    """Rows of every run of a cluster's tree, by recursion."""
+def runs(maps: ForecastMaps, facing: int) -> list[tuple[int, int]]:
+    """Rows of every run of a tree, by recursion."""
 
     def below(low: int, high: int) -> list[tuple[int, int]]:
         middle = (low + high) // 2
         return [(low, high)] if high - low <= RUN else below(low, middle) + below(middle + 1, high)
 
-    low, high = (int(row) for row in maps.start[cluster : cluster + 2])
+    low, high = (int(row) for row in maps.tree_start[facing : facing + 2])
     return below(low, high) if high > low else []
 
 
 def coordinates(maps: ForecastMaps) -> np.ndarray:
-    return np.stack([maps.x, maps.y, maps.z], axis=1)
+    return np.stack([maps.tree_x, maps.tree_y, maps.tree_z], axis=1)
 
 
-def naive_anchor(maps: ForecastMaps, cluster: int, p: np.ndarray) -> int:
+def naive_anchor(maps: ForecastMaps, p: np.ndarray, n: np.ndarray) -> int:
     """By walking down with a point's own coordinates, and all distances."""
-    low, high = (int(row) for row in maps.start[cluster : cluster + 2])
+    facing = int((HALF_AXES @ n).argmax())
+    low, high = (int(row) for row in maps.tree_start[facing : facing + 2])
     if low == high:
         return -1
     start, points = low, coordinates(maps)
     while high - low > RUN:
         middle = (low + high) // 2
-        axis = maps.axis[middle]
+        axis = maps.tree_axis[middle]
         low, high = (low, middle) if p[axis] < points[middle, axis] else (middle + 1, high)
-    anchor = int(maps.anchor_start[cluster]) + (low - start) // SHORTEST
-    return anchor if ((maps.anchor[anchor] - p) ** 2).sum() < np.float32(maps.radius) ** 2 else -1
+    anchor = int(maps.anchor_start[facing]) + (low - start) // SHORTEST
+    return anchor if ((maps.anchor[anchor] - p) ** 2).sum() < (REACH * np.float32(maps.radius)) ** 2 else -1
 
 
 @pytest.fixture(scope="module")
 def maps() -> ForecastMaps:
-    return build(caustic_points(3000))[0]
+    return build(POINTS)[0]
+
+
+def test_a_tree_holds_the_photons_of_its_facing(maps: ForecastMaps) -> None:
+    points = coordinates(maps)
+    for facing in range(FACINGS):
+        held = points[maps.tree_start[facing] : maps.tree_start[facing + 1]]
+        expected = POINTS.position[facing == FACING]
+        assert np.array_equal(held[np.lexsort(held.T)], expected[np.lexsort(expected.T)])
+    assert (np.diff(maps.tree_start) > 0).sum() == 2 and maps.tree_start[-1] == 3000
 
 
 def test_every_run_has_an_anchor_of_its_own_in_its_middle(maps: ForecastMaps) -> None:
     points, seen = coordinates(maps), set()
-    for cluster in range(len(maps.rank)):
-        for low, high in runs(maps, cluster):
-            anchor = int(maps.anchor_start[cluster]) + (low - int(maps.start[cluster])) // SHORTEST
-            assert anchor not in seen and anchor < maps.anchor_start[cluster + 1]
+    for facing in range(FACINGS):
+        for low, high in runs(maps, facing):
+            anchor = int(maps.anchor_start[facing]) + (low - int(maps.tree_start[facing])) // SHORTEST
+            assert anchor not in seen and anchor < maps.anchor_start[facing + 1]
             seen.add(anchor)
             np.testing.assert_allclose(maps.anchor[anchor], points[low:high].mean(axis=0), atol=1e-6)
     assert len(seen) > 100 and (maps.anchor_count > 0).sum() == len(seen)
 
 
 def test_anchors_know_the_nearest_photons(maps: ForecastMaps) -> None:
-    points = coordinates(maps)
-    for cluster in range(len(maps.rank)):
-        low, high = maps.start[cluster : cluster + 2]
-        for anchor in range(maps.anchor_start[cluster], maps.anchor_start[cluster + 1]):
+    """Those of their facing, known by their powers; turned to the anchor and with the cones of the definition."""
+    compared, turns = 0.0, 0.0
+    for facing in range(FACINGS):
+        own = np.flatnonzero(facing == FACING)
+        for anchor in range(maps.anchor_start[facing], maps.anchor_start[facing + 1]):
             count = maps.anchor_count[anchor]
+            assert (maps.anchor_photon[anchor, :, count:] == 0).all()
             if count == 0:
                 continue
-            d2 = ((points[low:high] - maps.anchor[anchor]) ** 2).sum(axis=1)
-            near = low + np.argsort(d2)[: maps.neighbours]
-            near = near[d2[near - low] < maps.radius**2]
-            expected = np.column_stack([maps.direction[near], maps.power[near]])
-            found = maps.anchor_photon[anchor, :, :count].T
-            assert (maps.anchor_photon[anchor, :, count:] == 0).all()
+            d2 = ((POINTS.position[own] - maps.anchor[anchor]) ** 2).sum(axis=1)
+            near = np.argsort(d2)[: maps.neighbours]
+            near = own[near[d2[near] < (REACH * maps.radius) ** 2]]
             assert count == len(near)
-            assert np.array_equal(found[np.lexsort(found.T)], expected[np.lexsort(expected.T)])
+            near = near[np.argsort(LUMINANCE[near])]
+            found = maps.anchor_photon[anchor, :, :count].T
+            found = found[np.argsort(found[:, POWER])]
+            np.testing.assert_allclose(found[:, POWER], LUMINANCE[near], rtol=1e-6)
+            direction, curvature = POINTS.direction[near], POINTS.curvature[near]
+            offset = maps.anchor[anchor] - POINTS.position[near]
+            wanted, height, turned, sure = naive_settle(direction, curvature, offset, COMPANIONS)
+            np.testing.assert_allclose(found[sure, HEIGHT], height[sure], rtol=2e-3)
+            if sure.any():
+                np.testing.assert_allclose(found[:, :3], wanted, atol=1e-6)
+                assert np.array_equal(found[turned == 1, CURVATURE:], curvature[turned == 1])
+                assert (found[turned == 0, CURVATURE:] == 0).all()
+                turns += (turned == 1).mean() / (maps.anchor_count > 0).sum()
+            compared += sure.mean() / (maps.anchor_count > 0).sum()
+    assert compared > 0.9 and 0.1 < turns < 0.9
 
 
 def test_places_find_the_anchor_of_their_run(maps: ForecastMaps) -> None:
-    """Photons themselves, places between them, and places too far from any."""
-    points = coordinates(maps)
-    for cluster in np.flatnonzero(np.diff(maps.start) > 0)[:8]:
-        own = points[maps.start[cluster] : maps.start[cluster + 1]]
-        moved = own + np.float32(0.7 * maps.radius) * np.random.default_rng(cluster).normal(size=own.shape)
-        for asked in (own, moved.astype(np.float32), own + 3 * np.float32(np.ptp(points))):
-            assert anchors(maps, cluster, asked).tolist() == [naive_anchor(maps, cluster, p) for p in asked]
-    assert (anchors(maps, cluster, own) >= 0).mean() > 0.9
+    """Photons themselves, places between them, places too far from any, and such as face where no photon lies."""
+    generator = np.random.default_rng(1)
+    moved = POINTS.position + np.float32(1.2 * maps.radius) * generator.normal(size=(3000, 3)).astype(np.float32)
+    for place in (POINTS.position, moved, POINTS.position + np.float32(9)):
+        expected = [naive_anchor(maps, p, n) for p, n in zip(place, POINTS.normal, strict=True)]
+        assert anchors(maps, place, POINTS.normal).tolist() == expected
+    assert (anchors(maps, POINTS.position, POINTS.normal) >= 0).mean() > 0.9
+    assert 0.1 < (anchors(maps, moved, POINTS.normal) >= 0).mean() < 0.9
+    assert (anchors(maps, POINTS.position, -POINTS.normal) == -1).all()
 
 
 def test_maps_without_photons_have_no_anchor() -> None:
     maps = no_forecast()
-    assert len(maps.anchor) == len(maps.anchor_count) == 0 and maps.anchor_start.tolist() == [0]
-    empty = build(caustic_points(3000))[0]
-    empty = empty._replace(start=np.zeros_like(empty.start))
-    assert (anchors(empty, 0, np.zeros((1, 3))) == -1).all()
+    assert len(maps.anchor) == len(maps.anchor_count) == 0 and maps.anchor_start.tolist() == [0] * 7
+    assert (anchors(maps, np.zeros((6, 3)), HALF_AXES) == -1).all()

@@ -1,26 +1,15 @@
-"""Directions of whole clusters: tables add up, the sampler follows them, cones are as wide as photons disagree."""
+"""Directions of whole clusters: tables add up, and the sampler follows them."""
 
 import naive
 import numba
 import numpy as np
 import pytest
 from chi_square import SAMPLES, SphereCells, p_value, sidak
-from test_forecast import build, caustic_points
 
 from causticmpi.estimators import caustic_mixture as cm
 from causticmpi.kernels import vec
-from causticmpi.preprocess.directions import (
-    COLUMNS,
-    COMPANIONS,
-    NARROWEST,
-    PROBES,
-    ROWS,
-    WIDEST,
-    coarse_tables,
-    cone_cosines,
-)
+from causticmpi.preprocess.directions import COLUMNS, ROWS, coarse_tables
 from causticmpi.preprocess.forecast import ForecastMaps, no_forecast
-from causticmpi.preprocess.photons import CausticPoints
 
 BINS = COLUMNS * ROWS
 COARSE_CASES = [1, 7, 200, 20_000]
@@ -98,35 +87,3 @@ def test_coarse_sampler(count: int, cluster: int) -> None:
     p = p_value(counts, SAMPLES * expected)
     print(f"\ncoarse {count} points, cluster {cluster}: p = {p:.3f}")
     assert p > sidak(COMPARISONS)
-
-
-def naive_cone(maps: ForecastMaps, cluster: int) -> float:
-    """Half angle: the median over PROBES photons of the angle to their COMPANIONS-th closest direction nearby."""
-    low, high = maps.start[cluster], maps.start[cluster + 1]
-    place = np.stack([maps.x, maps.y, maps.z], axis=1)[low:high].astype(np.float64)
-    direction = maps.direction[low:high].astype(np.float64)
-    angles = []
-    for i in ((high - low) * np.arange(PROBES) // PROBES) if high - low > COMPANIONS else []:
-        d2 = ((place - place[i]) ** 2).sum(axis=1)
-        near = np.argsort(d2, kind="stable")[: maps.neighbours]
-        near = near[(d2[near] < maps.radius**2) & (near != i)]
-        if len(near) >= COMPANIONS:
-            cosine = np.sort(direction[near] @ direction[i])[::-1]
-            angles.append(np.arccos(np.clip(cosine[COMPANIONS - 1], -1, 1)))
-    return float(np.clip(np.median(angles), NARROWEST, WIDEST)) if angles else WIDEST
-
-
-@pytest.mark.parametrize(("spread", "neighbours"), [(1.0, 50), (0.05, 12), (0.05, 4), (0.0, 20)])
-def test_cones_against_brute_force(spread: float, neighbours: int) -> None:
-    """A photon is among its own neighbours, so with 4 of them none has 4 companions: the widest cones."""
-    points = caustic_points(3000)
-    direction = naive.unit(points.normal + spread * (points.direction - points.normal)).astype(np.float32)
-    maps, _, _ = build(CausticPoints(points.position, points.normal, direction, points.power), neighbours=neighbours)
-    expected = np.array([naive_cone(maps, j) for j in range(len(maps.cone))])
-    np.testing.assert_allclose(maps.cone, np.cos(expected), atol=1e-6)
-    if spread == 0:
-        assert (expected[maps.rank <= maps.max_rank] == NARROWEST).any()
-    if neighbours == COMPANIONS:
-        assert (expected == WIDEST).all()
-    again = cone_cosines((maps.x, maps.y, maps.z), maps.axis, maps.direction, maps.start, maps.radius, neighbours)
-    assert np.array_equal(again, maps.cone)

@@ -29,7 +29,10 @@ def caustic_points(n: int = 20_000, seed: int = 1) -> CausticPoints:
     normal = np.where(kind[:, None] == 2, [-1.0, 0, 0], [0, 1.0, 0])
     direction = naive.unit(normal + 0.3 * generator.normal(size=(n, 3)))
     power = generator.exponential(size=(n, 3)) * np.array([3.0, 0.5, 1.0])[kind][:, None]
-    return CausticPoints(*(np.ascontiguousarray(a, np.float32) for a in (position, normal, direction, power)))
+    curvature = generator.normal(size=(n, 6))
+    return CausticPoints(
+        *(np.ascontiguousarray(a, np.float32) for a in (position, normal, direction, power, curvature))
+    )
 
 
 POINTS = caustic_points()
@@ -236,7 +239,8 @@ def test_search_radius_finds_about_n() -> None:
     generator = np.random.default_rng(10)
     position = (generator.random((40_000, 3)) * [1, 0, 1]).astype(np.float32)
     plain = np.tile(np.float32([0, 1, 0]), (40_000, 1))
-    maps, statistics, _ = build(CausticPoints(position, plain, plain, np.ones_like(position)), max_rank=40)
+    points = CausticPoints(position, plain, plain, np.ones_like(position), np.zeros((40_000, 6), np.float32))
+    maps, statistics, _ = build(points, max_rank=40)
     inner = position[(np.abs(position[:, [0, 2]] - 0.5) < 0.4).all(axis=1)][:400]
     counts = [(((position - p).astype(np.float64) ** 2).sum(axis=1) < statistics.radius**2).sum() for p in inner]
     assert 40 < np.mean(counts) < 60
@@ -250,3 +254,19 @@ def test_maps_without_photons_and_with_one() -> None:
     maps, statistics, seconds = build(single)
     assert maps.start.tolist() == [0, 1] and maps.radius > 0 and statistics.rank.tolist() == [0]
     assert set(seconds) == {"clustering", "trees"}
+
+
+def test_maps_serve_the_samplers_asked_for() -> None:
+    """What they do not serve is as in maps without a photon, and of the same types: kernels are compiled once."""
+    both, none = build()[0]._asdict(), no_forecast((32, 16), 50)._asdict()
+    tables, mixture = (build(tables=not only, mixture=only)[0]._asdict() for only in (False, True))
+    for name, value in both.items():
+        gathers = name in ("start", "x", "y", "z", "direction", "power", "axis")
+        steers = name.startswith(("tree_", "anchor", "cell"))
+        for maps, served in ((tables, not steers), (mixture, not gathers)):
+            if name == "start" and not served:
+                assert (maps[name] == 0).all() and maps[name].shape == value.shape
+            else:
+                np.testing.assert_array_equal(maps[name], value if served else none[name])
+            if isinstance(value, np.ndarray):
+                assert maps[name].dtype == value.dtype and maps[name].ndim == value.ndim

@@ -16,9 +16,8 @@ from causticmpi.config.records import RenderConfig
 from causticmpi.distributed.clock import Stopwatch
 from causticmpi.distributed.prepare import prepare_forecast
 from causticmpi.distributed.world import SerialWorld
-from causticmpi.preprocess.anchors import build_anchors
-from causticmpi.preprocess.directions import NARROWEST, WIDEST
 from causticmpi.preprocess.forecast import ForecastMaps
+from causticmpi.preprocess.parallax import CURVATURE, DIRECTION, HEIGHT, NARROWEST, POWER, WIDEST
 from causticmpi.scene.data import SceneData
 
 pytestmark = pytest.mark.statistical
@@ -97,47 +96,79 @@ def check(scene: SceneData, config: RenderConfig, truth: float, passes: int, map
     assert overall.z < LARGEST_Z, f"picture's mean {blocks.mean():.5f} instead of {truth:.5f}"
 
 
+def _scatter(random: np.random.Generator, arrays: dict[str, np.ndarray]) -> None:
+    """Photons come from anywhere."""
+    wrong = random.normal(size=arrays["direction"].shape)
+    arrays["direction"][:] = wrong / np.linalg.norm(wrong, axis=1)[:, None]
+    for photon in (arrays["anchor_photon"], arrays["cell_photon"]):
+        wrong = random.normal(size=photon[:, DIRECTION : DIRECTION + 3].shape)
+        photon[:, DIRECTION : DIRECTION + 3] = wrong / np.linalg.norm(wrong, axis=1)[:, None]
+
+
+def _reweigh(random: np.random.Generator, photon: np.ndarray, spread: float) -> None:
+    """Powers of the photons of anchors, those of no photon aside."""
+    power = photon[:, POWER]
+    power[:] = np.where(power > 0, np.exp(random.normal(0, spread, power.shape)), 0)
+
+
+def _widen(height: float, arrays: dict[str, np.ndarray]) -> None:
+    """Cones of all photons, those of no photon aside."""
+    for photon in (arrays["anchor_photon"], arrays["cell_photon"]):
+        photon[:, HEIGHT] = np.where(photon[:, HEIGHT] > 0, height, 0)
+
+
 def poisoned(scene: SceneData, config: RenderConfig, how: str) -> ForecastMaps:
     """Forecast maps that tell lies."""
     prepared = prepare(scene)
     maps = prepare_forecast(SerialWorld(), config, prepared, Stopwatch()).maps
     prepared.embree.close()
     random = np.random.default_rng(7)
-    count = len(maps.x)
-    assert count > 1000
     arrays = {name: array.copy() for name, array in maps._asdict().items() if isinstance(array, np.ndarray)}
+    steering = arrays["anchor_photon"], arrays["cell_photon"]
+    assert len(maps.x) > 1000 or min(len(maps.anchor), len(maps.cell)) > 50
     if how == "random directions":
-        wrong = random.normal(size=(count, 3))
-        arrays["direction"][:] = wrong / np.linalg.norm(wrong, axis=1)[:, None]
+        _scatter(random, arrays)
     elif how == "one direction":
         arrays["direction"][:] = 0.48, 0.6, 0.64
+        for photon in steering:
+            photon[:, DIRECTION : DIRECTION + 3] = np.float32([0.48, 0.6, 0.64])[:, None]
     elif how == "below the surface":
         arrays["direction"] *= -1
+        for photon in steering:
+            photon[:, DIRECTION : DIRECTION + 3] *= -1
     elif how == "moved":
         for axis in "xyz":
             random.shuffle(arrays[axis])
+        other = random.permutation(len(maps.anchor))
+        arrays["anchor_photon"][:], arrays["anchor_count"][:] = maps.anchor_photon[other], maps.anchor_count[other]
+        random.shuffle(arrays["cell_photon"])
     elif how == "random powers":
-        arrays["power"][:] = np.exp(random.normal(0, 1, count))
+        arrays["power"][:] = np.exp(random.normal(0, 1, len(maps.x)))
+        _reweigh(random, arrays["anchor_photon"], 1)
     elif how == "tables of another cluster":
         arrays["coarse"][:] = np.roll(arrays["coarse"], 5, axis=0)
     elif how == "narrowest cones":
-        arrays["cone"][:] = np.cos(NARROWEST)
+        _widen(1 - np.cos(NARROWEST), arrays)
     elif how == "widest cones":
-        arrays["cone"][:] = np.cos(WIDEST)
+        _widen(1 - np.cos(WIDEST), arrays)
+    elif how == "random curvature":
+        for photon in steering:
+            size = np.exp(random.normal(0, 5, photon[:, CURVATURE:].shape))
+            photon[:, CURVATURE:] = size * random.choice([-1, 1], size.shape)
     elif how == "garbage":
-        wrong = random.normal(size=(count, 3))
-        arrays["direction"][:] = wrong / np.linalg.norm(wrong, axis=1)[:, None]
-        arrays["power"][:] = np.exp(random.normal(0, 3, count))
-        arrays["cone"][:] = np.cos(random.uniform(NARROWEST, WIDEST, len(arrays["cone"])))
+        _scatter(random, arrays)
+        arrays["power"][:] = np.exp(random.normal(0, 3, len(maps.x)))
+        _reweigh(random, arrays["anchor_photon"], 3)
+        for photon in steering:
+            angle = random.uniform(NARROWEST, WIDEST, photon[:, HEIGHT].shape)
+            photon[:, HEIGHT] = np.where(photon[:, HEIGHT] > 0, 1 - np.cos(angle), 0)
         weight = random.exponential(size=arrays["coarse"].shape) ** 4 * (random.random(arrays["coarse"].shape) < 0.3)
         arrays["coarse"][:] = np.minimum(np.cumsum(weight, axis=1) / weight.sum(axis=1, keepdims=True), 1)
         arrays["coarse"][:, -1] = 1
     else:
         assert how == "no power"
         arrays["power"][:] = 0
-    places, photons = (arrays["x"], arrays["y"], arrays["z"]), (arrays["direction"], arrays["power"])
-    run = arrays["axis"], *photons, arrays["start"], maps.radius, maps.neighbours
-    arrays |= build_anchors(places, *run)  # the photons that the mixture asks tell the same lies
+        arrays["anchor_photon"][:, POWER] = 0
     for name, array in arrays.items():  # else the kernels would be compiled for another type
         array.setflags(write=getattr(maps, name).flags.writeable)
     return maps._replace(**arrays)
@@ -178,7 +209,7 @@ def test_starved_forecast(half_white: SceneData, photons: int, sampling: str) ->
 
 
 LIES = ["random directions", "one direction", "below the surface", "moved", "random powers", "no power"]
-LIES_OF_THE_MIXTURE = ["tables of another cluster", "narrowest cones", "widest cones", "garbage"]
+LIES_OF_THE_MIXTURE = ["tables of another cluster", "narrowest cones", "widest cones", "random curvature", "garbage"]
 
 
 @pytest.mark.parametrize(

@@ -134,7 +134,7 @@ MIXTURE_ERRORS = {
         ("density = share * lane[BRDF + i] + lane", "density = lane"),
     ],
     "no fine density": [  # cones are sampled but the other samplers' weights know nothing of it
-        ("        density = cm.fine_pdf(", "        density = ZERO * cm.fine_pdf("),
+        ("density += np.float32(steered) * inside", "density += ZERO * inside"),
     ],
 }
 

@@ -23,6 +23,7 @@ from causticmpi.inspect.scenery import Discs, Scenery
 from causticmpi.inspect.sight import Sight
 from causticmpi.kernels.embree import ray_buffer
 from causticmpi.kernels.emission import natural_emission
+from causticmpi.preprocess.parallax import HEIGHT
 from causticmpi.preprocess.photons import shoot_photons
 from causticmpi.scene.data import SceneData
 from causticmpi.scene.load import load_scene
@@ -92,7 +93,12 @@ def test_the_numbers_are_the_librarys(out: Path, found: Findings) -> None:
     assert clusters["count"] == maps.codebook.shape[1] == 24
     assert clusters["used"] + clusters["culled"] == 24 and clusters["used"] == (maps.rank <= 2).sum() < 24
     assert clusters["forecast_points"] == len(maps.x) and clusters["search_radius"] == maps.radius
-    assert np.allclose(np.cos(np.radians(clusters["each"]["cone_half_angle"])), maps.cone, atol=1e-6)
+    assert clusters["anchors"] == len(maps.anchor) > 0
+    heights = [height for anchor in maps.anchor_photon for height in anchor[HEIGHT].tolist() if height > 0]
+    assert len(heights) == maps.anchor_count.sum()
+    told_cones = [clusters["cone_half_angle"][key] for key in ("least", "median", "greatest")]
+    wanted = np.degrees(2 * np.arcsin(np.sqrt(np.array([min(heights), np.median(heights), max(heights)]) / 2)))
+    assert told_cones == pytest.approx(wanted.tolist(), rel=1e-6)
 
 
 def test_the_clusters_add_up(out: Path, found: Findings) -> None:

@@ -175,7 +175,7 @@ def test_waves_are_particles_one_by_one(tmp_path, aim: np.ndarray) -> None:
     assert abs(emitted - emitted_in_waves) <= 5
     assert 0.99 * traced < traced_in_waves < 1.02 * traced + 8 * GROUP  # the last group is traced to its end
     scale = np.abs(found).max(axis=(0, 2))
-    differs = (np.abs(np.stack(points, axis=1) - found) > 1e-3 * scale[:, None]).any(axis=(1, 2))
+    differs = (np.abs(np.stack(points[:4], axis=1) - found) > 1e-3 * scale[:, None]).any(axis=(1, 2))
     assert differs.mean() < 0.01, differs.nonzero()
     scene.embree.close()
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from chi_square import SAMPLES, SphereCells, p_value, pair_p_value, sidak
 from rendering import make_config, prepare, render_passes, scene_from
+from test_parallax import naive_settle, naive_turned
 from z_test import ALPHA, compare
 
 from causticmpi.distributed.clock import Stopwatch
@@ -22,7 +23,9 @@ from causticmpi.kernels.emission import emission_guide, natural_emission
 from causticmpi.kernels.particle_waves import GROUP
 from causticmpi.preprocess import cells
 from causticmpi.preprocess.cells import COARSER, KEPT, LEVELS, build_cells, cell_edge
-from causticmpi.preprocess.forecast import no_forecast
+from causticmpi.preprocess.forecast import ForecastMaps, no_forecast
+from causticmpi.preprocess.parallax import CURVATURE, HEIGHT
+from causticmpi.preprocess.photons import CausticPoints
 from causticmpi.render import rounds
 from causticmpi.render.film import Film
 from causticmpi.scene.data import SceneData
@@ -53,6 +56,10 @@ shapes:
     material: black
     emission: 300
 """
+LANE = 2
+"""Of the vertex whose cell is asked."""
+STEP = np.float32([0.06, -0.05, 0.07])
+"""The way from the middle of its cell to it."""
 COMPARISONS = 3 + 2
 PASSES = 12000
 
@@ -87,15 +94,21 @@ def run_cells(maps, p, n, out):
 
 
 @numba.njit
-def run_sample_cell(maps, cell, u, out):
-    for i in range(len(u)):
-        out[i, 0], out[i, 1], out[i, 2] = cm.sample_cell(maps, cell, u[i, 0], u[i, 1], u[i, 2])
+def run_turn_cell(maps, work, p):
+    cm.turn_cell(maps, work, LANE, vec.row(p, 0))
 
 
 @numba.njit
-def run_cell_pdf(maps, cell, direction, out):
+def run_sample_cell(work, u, out, own):
+    for i in range(len(u)):
+        axis, height, own[i] = cm.cell_cone(work, LANE, u[i, 0])
+        out[i, 0], out[i, 1], out[i, 2] = cm.in_cone(axis, height, u[i, 1], u[i, 2])
+
+
+@numba.njit
+def run_cell_pdf(work, direction, out):
     for i in range(len(direction)):
-        out[i] = cm.cell_pdf(maps, cell, vec.row(direction, i))
+        out[i] = cm.cones_pdf(work, LANE, vec.row(direction, i))
 
 
 def uniform(count: int, columns: int, seed: int = 3) -> np.ndarray:
@@ -255,8 +268,8 @@ def test_what_the_eye_does_not_see_costs_nothing(open_scene: SceneData) -> None:
     prepared.embree.close()
 
 
-def points(count: int = 4000) -> tuple[np.ndarray, ...]:
-    """Caustic points on a floor and a wall, their directions in a lobe that turns with the place."""
+def points(count: int = 4000) -> CausticPoints:
+    """Caustic points on a floor and a wall, their directions in a lobe that turns with the place; power (n,)."""
     generator = np.random.default_rng(5)
     position = generator.random((count, 3)).astype(np.float32) * [2, 0, 2] - np.float32([1, 0, 1])
     normal = np.tile(np.float32([0, 1, 0]), (count, 1))
@@ -264,57 +277,86 @@ def points(count: int = 4000) -> tuple[np.ndarray, ...]:
     position[wall] = position[wall][:, [1, 0, 2]]
     normal[wall] = 1, 0, 0
     direction = naive.unit(normal + 0.3 * position + 0.2 * generator.normal(size=(count, 3)))
-    return (*(a.astype(np.float32) for a in (position, normal, direction)), generator.exponential(size=count))
+    power, curvature = generator.exponential(size=count), generator.normal(size=(count, 6))
+    return CausticPoints(*(a.astype(np.float32) for a in (position, normal, direction, power, curvature)))
 
 
-def test_cells_hold_the_photons_around(tmp_path: Path) -> None:
-    """Against a plain grid: the smallest level with enough photons answers, with directions of its own photons."""
-    position, normal, direction, power = points()
+def test_cells_hold_the_photons_around() -> None:
+    """Against a plain grid: the smallest level with enough photons answers, with KEPT of its own, drawn in equal steps
+    of power; turned to their middle, and with cones as wide as COMPANIONS other photons ask for."""
+    found_points = points()
+    position, normal, direction, power, curvature = found_points
     edge = cell_edge(0.1, 20)
-    maps = no_forecast()._replace(**build_cells(position, normal, direction, power, edge))
+    maps = no_forecast()._replace(**build_cells(CausticPoints(*found_points), edge))
     found = np.zeros(len(position), np.int64)
     run_cells(maps, position, normal, found)
     assert (found >= 0).mean() > 0.9
     sides = [np.float32(edge) * COARSER**level for level in range(LEVELS)]
     keys = [np.concatenate([np.floor(position / side), normal], axis=1) for side in sides]
-    for i in range(0, len(position), 97):
+    compared, turns = [], []
+    for i in range(0, len(position), 37):
         for key in keys:
             members = np.flatnonzero((key == key[i]).all(axis=1))
             if len(members) >= cells.FEWEST:
                 break
-        kept = maps.cell_direction[found[i]].T
-        distances = np.linalg.norm(kept[:, None] - direction[members][None], axis=2)
-        assert distances.shape[0] == KEPT and distances.min(axis=1).max() < 1e-6
+        marks = power[members].sum(dtype=np.float64) * (np.arange(KEPT) + 0.5) / KEPT
+        drawn = members[np.searchsorted(np.cumsum(power[members].astype(np.float64)), marks)]
+        middle = position[drawn].mean(axis=0, dtype=np.float64)
+        np.testing.assert_allclose(maps.cell[found[i]], middle, atol=1e-6)
+        often = int(np.ceil(KEPT / min(len(members), KEPT)))
+        others = min(KEPT - 1, often * (1 + cells.COMPANIONS) - 1)
+        wanted, height, turned, sure = naive_settle(
+            direction[drawn], curvature[drawn], middle - position[drawn], others
+        )
+        kept = maps.cell_photon[found[i]].T
+        np.testing.assert_allclose(kept[sure, HEIGHT], height[sure], rtol=2e-3)
+        if sure.any():
+            np.testing.assert_allclose(kept[:, :3], wanted, atol=1e-6)
+            assert np.array_equal(kept[turned == 1, CURVATURE:], curvature[drawn[turned == 1]])
+        compared.append(sure.mean())
+        turns.append((turned == 1).mean())
+    assert np.mean(compared) > 0.85 and 0.05 < np.mean(turns) < 0.95
     nowhere = np.zeros(1, np.int64)
     run_cells(maps, np.float32([[50, 50, 50]]), np.float32([[0, 1, 0]]), nowhere)
     assert nowhere[0] == -1
 
 
+def axes_of(maps: ForecastMaps, cell: int) -> np.ndarray:
+    """Directions (KEPT, 3) of a cell's photons at the place a STEP from it."""
+    photon = maps.cell_photon[cell].T
+    return naive_turned(photon[:, :3].astype(np.float64), photon[:, CURVATURE:], np.tile(STEP, (KEPT, 1)))
+
+
 @pytest.mark.parametrize("degrees", [1.0, 20.0])
 def test_directions_of_a_cell(degrees: float) -> None:
-    position, normal, direction, power = points()
-    maps = no_forecast()._replace(**build_cells(position, normal, direction, power, 0.5))
-    maps.cell_cone[:] = np.cos(np.radians(degrees))
-    out = np.zeros((SAMPLES, 3), np.float32)
-    run_sample_cell(maps, 1, uniform(SAMPLES, 3), out)
-    axis = maps.cell_direction[1].mean(axis=1)
-    grid = SphereCells(axis, np.cos(np.radians(np.linspace(180, 0, 91))), columns=32)
-    quadrature, _ = grid.quadrature(8)
+    maps = no_forecast()._replace(**build_cells(CausticPoints(*points()), 0.5))
+    maps.cell_photon[1, HEIGHT] = 1 - np.cos(np.radians(np.linspace(degrees, degrees / 2, KEPT)))
+    maps.cell_photon[1, CURVATURE:] = np.random.default_rng(9).normal(size=(6, KEPT))
+    work = cm.mixture_work(maps)
+    work.cell[LANE] = 1
+    run_turn_cell(maps, work, (maps.cell[1] + STEP)[None])
+    axes = axes_of(maps, 1)
+    assert np.abs(axes - maps.cell_photon[1, :3].T).max() > 0.05
+    out, own = np.zeros((SAMPLES, 3), np.float32), np.zeros(SAMPLES, np.float32)
+    run_sample_cell(work, uniform(SAMPLES, 3), out, own)
+    grid = SphereCells(axes.mean(axis=0), np.cos(np.radians(np.linspace(180, 0, 91))), columns=32)
+    quadrature, _ = grid.quadrature(16)
     found = np.zeros(len(quadrature), np.float32)
-    run_cell_pdf(maps, 1, quadrature.astype(np.float32), found)
-    expected = grid.integrate(found, 8)
+    run_cell_pdf(work, quadrature.astype(np.float32), found)
+    expected = grid.integrate(found, 16)
     assert abs(expected.sum() - 1) < 0.02
     at = np.zeros(SAMPLES, np.float32)
-    run_cell_pdf(maps, 1, out, at)
-    assert (at > 0).mean() > 1 - 2e-5  # rounding at the rim of a cone
+    run_cell_pdf(work, out, at)
+    assert (own > 0).all() and (at >= own * (1 - 1e-5)).mean() > 1 - 2e-5  # rounding at the rim of a cone
     # Edges of cones cut the cells of the grid: compare where the quadrature is exact to a percent.
-    assert abs((1 / at[at > 0].astype(np.float64)).mean() - area_of_cones(maps, 1)) < 0.02 * area_of_cones(maps, 1)
+    area = area_of_cones(axes, maps.cell_photon[1, HEIGHT])
+    assert abs((1 / at[at > 0].astype(np.float64)).mean() - area) < 0.02 * area
     counts = grid.counts(out) / SAMPLES
     assert np.abs(counts - expected).sum() < 0.1
 
 
-def area_of_cones(maps: object, cell: int) -> float:
-    """Solid angle of the union of a cell's cones, by a fine grid of directions."""
+def area_of_cones(axes: np.ndarray, heights: np.ndarray) -> float:
+    """Solid angle of the union of cones, by a fine grid of directions."""
     z = np.linspace(-1, 1, 2001)[:-1] + 0.0005
     phi = np.linspace(0, 2 * np.pi, 2001)[:-1]
     r = np.sqrt(1 - z * z)
@@ -322,6 +364,6 @@ def area_of_cones(maps: object, cell: int) -> float:
         [r[:, None] * np.cos(phi), r[:, None] * np.sin(phi), np.broadcast_to(z[:, None], (2000, 2000))], axis=-1
     )
     inside = np.zeros((2000, 2000), bool)
-    for axis in maps.cell_direction[cell].T:
-        inside |= directions @ axis.astype(np.float64) >= float(maps.cell_cone[cell])
+    for axis, height in zip(axes, heights, strict=True):
+        inside |= directions @ axis >= 1 - float(height)
     return float(inside.mean() * 4 * np.pi)

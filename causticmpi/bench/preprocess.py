@@ -36,6 +36,8 @@ def preprocess_of(points: CausticPoints, settings: Forecast, seed: int) -> dict[
             settings.max_rank,
             settings.splitting,
             clustering=clustering,
+            tables=settings.sampling != "mixture",
+            mixture=settings.sampling == "mixture",
         )
 
     return {

@@ -31,6 +31,7 @@ from causticmpi.preprocess import (
     forecast,
     k_means,
     lamp_sight,
+    parallax,
     photon_map,
     photons,
     vector_quantization,
@@ -59,7 +60,9 @@ KERNELS = [
     photons._shoot,
     view._see_views,
     guides_room._shoot,
-    anchors._gather_at_anchors,
+    anchors._facings,
+    anchors._find_runs,
+    anchors._gather,
     cells._keys,
     cells._fill,
     light_tracing.trace_light_paths,
@@ -69,7 +72,7 @@ KERNELS = [
     lamp_sight._mark,
     forecast._overlaps,
     photon_map._neighbour_distances,
-    directions._companion_cosines,
+    parallax.settle_all,
     kdtree.build_trees,
     film._accumulate,
     film._accumulate_light,
@@ -111,7 +114,6 @@ def tiny_maps() -> ForecastMaps:
         rank=np.zeros(1, np.int32),
         start=np.zeros(2, np.int64),
         coarse=np.ones((1, directions.COLUMNS * directions.ROWS), np.float32),
-        cone=np.zeros(1, np.float32),
     )
 
 
@@ -137,7 +139,7 @@ def warm_up(config: RenderConfig, root: bool, forecasting: bool) -> bool:
         lamp_sight.lamp_sight(scene.data, camera, 4, 4, 1)
     if root and (forecasting or mapping):
         shoot_photons(scene.traced, 0, 1)
-        points = CausticPoints(*(np.ones((4, 3), np.float32) for _ in range(4)))
+        points = CausticPoints(*(np.ones((4, columns), np.float32) for columns in (3, 3, 3, 3, 6)))
         if mapping:
             build_photon_map(points, 1, 2)
         else:

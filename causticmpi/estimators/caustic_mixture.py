@@ -1,11 +1,12 @@
 """Caustic directions from a mixture under the balance heuristic: samplers, each beside its pdf (solid angle).
 
-  fine    narrow cones around the directions of the photons gathered near by;
-  cell    cones around a few directions of the cell of a grid: O(1), at vertices too many or too deep to gather at;
+  fine    cones around the directions of the photons of the nearest anchor, turned to what they are at the vertex;
+  cell    the same of a few photons of the cell of a grid: O(1), at vertices too many or too deep to gather at;
   coarse  the aggregated directions of the whole cluster, a table made in the preprocess: O(1), and silent nowhere;
   brdf    `bsdf.sample`, which reaches every direction: with a share of it the estimate is unbiased whatever the
           photons are.
-The paper's bins are wider than many lights look through a lens; cones are as wide as photons near by disagree.
+The paper's bins are wider than many lights look through a lens; a cone is as wide as its photon and those near by
+disagree.
 """
 
 import math
@@ -23,8 +24,9 @@ from causticmpi.preprocess.anchors import anchor_of
 from causticmpi.preprocess.cells import KEPT
 from causticmpi.preprocess.directions import COLUMNS, ROWS
 from causticmpi.preprocess.forecast import ForecastMaps
+from causticmpi.preprocess.parallax import HEIGHT, POWER, turned
 
-LANE_ROWS = 31
+LANE_ROWS = 32
 """Of `MixtureWork.lane`, told in `mixture_rays`."""
 
 
@@ -32,15 +34,22 @@ class MixtureWork(NamedTuple):
     """Workspace, most of it by lane: a vertex that sends its rays.
 
     cluster, anchor, cell (16,): where it is, anchor and cell -1 where none steers it; total (16,): sum of the weights
-    of its anchor's photons; weight, cdf (16, >= n): these, and their running sum; lane: rows of `mixture_rays`;
-    codeword_distance (m,): search.
+    of its anchor's photons; columns (16,): cones that steer it, a multiple of 16; x, y, z, height, density (16, >= n):
+    of these cones the axis, 1 - cosine of the half angle, and how dense their sampler is inside [1 / sr]; cdf
+    (16, >= n): running sum of the weights of its anchor's photons; lane: rows of `mixture_rays`; codeword_distance
+    (m,): search.
     """
 
     cluster: Any
     anchor: Any
     cell: Any
     total: Any
-    weight: Any
+    columns: Any
+    x: Any
+    y: Any
+    z: Any
+    height: Any
+    density: Any
     cdf: Any
     lane: Any
     codeword_distance: Any
@@ -48,42 +57,78 @@ class MixtureWork(NamedTuple):
 
 def mixture_work(maps: ForecastMaps) -> MixtureWork:
     """Workspace that fits the maps."""
-    photons = maps.anchor_photon.shape[2]
+    photons = max(KEPT, maps.anchor_photon.shape[2])
     return MixtureWork(
         cluster=np.zeros(LANES, np.int64),
         anchor=np.zeros(LANES, np.int64),
         cell=np.zeros(LANES, np.int64),
         total=np.zeros(LANES, np.float32),
-        weight=np.zeros((LANES, photons), np.float32),
-        cdf=np.zeros((LANES, photons), np.float32),
+        columns=np.zeros(LANES, np.int64),
+        **{name: np.zeros((LANES, photons), np.float32) for name in ("x", "y", "z", "height", "density", "cdf")},
         lane=aligned_words(LANES * LANE_ROWS),
         codeword_distance=np.zeros(maps.codebook.shape[1], np.float32),
     )
 
 
 @inline
-def photons_near(maps, cluster, p):
-    """The anchor whose photons steer at p, in a cluster; -1 for none, as outside the ranked clusters."""
-    return anchor_of(maps, cluster, p) if maps.rank[cluster] <= maps.max_rank else np.int64(-1)
+def photons_near(maps, cluster, p, n):
+    """The anchor whose photons steer at p with normal n, in a cluster; -1 for none, as outside the ranked clusters."""
+    return anchor_of(maps, p, n) if maps.rank[cluster] <= maps.max_rank else np.int64(-1)
 
 
 @inline
-def weigh_fine(scene, maps, work, lane, anchor, n, wo, material):
-    """Weigh an anchor's photons by power, BRDF and cosine at a vertex. Returns their sum, 0 where none counts."""
-    count = maps.anchor_count[anchor]
-    photons, weight, cdf = maps.anchor_photon[anchor], work.weight[lane], work.cdf[lane]
-    x, y, z, power = photons[0], photons[1], photons[2], photons[3]
-    for i in range(photons.shape[1]):
+def _turn(photons, count, step, work, lane):
+    """Cones of a vertex: photons (ROWS, >= count) of a place as seen a step from it."""
+    x, y, z, height = work.x[lane], work.y[lane], work.z[lane], work.height[lane]
+    for i in range(count):
+        d = (photons[0, i], photons[1, i], photons[2, i])
+        m = (photons[5, i], photons[6, i], photons[7, i], photons[8, i], photons[9, i], photons[10, i])
+        x[i], y[i], z[i] = turned(d, m, step)
+        height[i] = photons[HEIGHT, i]
+
+
+@inline
+def _known(maps, work, lane):
+    """How many photons of its anchor steer a lane."""
+    return min(np.int64(maps.anchor_count[work.anchor[lane]]), work.columns[lane])
+
+
+@inline
+def weigh_anchor(scene, maps, work, lane, at, columns):
+    """Turn the first `columns` photons of a lane's anchor, a multiple of 16, to its vertex, weigh them by power, BRDF
+    and cosine there. Returns the sum of their weights, `total`, 0 where none counts."""
+    work.columns[lane] = columns
+    anchor, count = work.anchor[lane], _known(maps, work, lane)
+    photons = maps.anchor_photon[anchor]
+    _turn(photons, columns, vec.sub(at.p, vec.row(maps.anchor, anchor)), work, lane)
+    x, y, z, weight, cdf = work.x[lane], work.y[lane], work.z[lane], work.density[lane], work.cdf[lane]
+    power, height, n = photons[POWER], photons[HEIGHT], at.n
+    for i in range(columns):
         weight[i] = max(ZERO, n[0] * x[i] + n[1] * y[i] + n[2] * z[i]) * power[i]
-    if scene.kind[material] != DIFFUSE:
+    if scene.kind[at.material] != DIFFUSE:
         for i in range(count):
             if weight[i] > ZERO:
-                weight[i] *= vec.luminance(bsdf.evaluate(scene, material, n, wo, (x[i], y[i], z[i])))
+                weight[i] *= vec.luminance(bsdf.evaluate(scene, at.material, n, at.wo, (x[i], y[i], z[i])))
     total = ZERO
     for i in range(count):
         total += weight[i]
         cdf[i] = total
+    work.total[lane] = total
+    share = INV_TWO_PI / total if total > ZERO else ZERO
+    for i in range(columns):
+        weight[i] = weight[i] * share / height[i] if height[i] > ZERO else ZERO
     return total
+
+
+@inline
+def turn_cell(maps, work, lane, p):
+    """Turn the photons of a lane's cell, all alike, to its vertex at p."""
+    cell = work.cell[lane]
+    work.columns[lane] = KEPT
+    _turn(maps.cell_photon[cell], KEPT, vec.sub(p, vec.row(maps.cell, cell)), work, lane)
+    height, density = work.height[lane], work.density[lane]
+    for i in range(KEPT):
+        density[i] = INV_TWO_PI / np.float32(KEPT) / height[i]
 
 
 @inline
@@ -97,34 +142,29 @@ def in_cone(axis, height, u, v):
 
 
 @inline
-def fine_cone(maps, work, lane, cluster, anchor, total, choice):
-    """A photon chosen by weight, total > 0: direction and height of its cone."""
-    i = pick(work.cdf[lane, : maps.anchor_count[anchor]], choice * total)
-    axis = (maps.anchor_photon[anchor, 0, i], maps.anchor_photon[anchor, 1, i], maps.anchor_photon[anchor, 2, i])
-    return axis, ONE - maps.cone[cluster]
+def anchor_cone(maps, work, lane, choice):
+    """A photon of a lane's anchor chosen by weight, `total` > 0: direction, height of its cone and density in it."""
+    i = pick(work.cdf[lane, : _known(maps, work, lane)], choice * work.total[lane])
+    return (work.x[lane, i], work.y[lane, i], work.z[lane, i]), work.height[lane, i], work.density[lane, i]
 
 
 @inline
-def sample_fine(maps, work, lane, cluster, anchor, total, choice, u, v):
-    """Uniform direction in the cone around a photon chosen by weight; total > 0. It may lie below the horizon."""
-    axis, height = fine_cone(maps, work, lane, cluster, anchor, total, choice)
-    return in_cone(axis, height, u, v)
+def cell_cone(work, lane, choice):
+    """One of the photons of a lane's cell: direction, height of its cone and density in it."""
+    i = np.int64(choice * np.float32(KEPT))
+    return (work.x[lane, i], work.y[lane, i], work.z[lane, i]), work.height[lane, i], work.density[lane, i]
 
 
 @inline
-def fine_pdf(maps, work, lane, cluster, anchor, total, direction):
-    """Density of `sample_fine`."""
-    if total <= ZERO:
-        return ZERO
-    height = ONE - maps.cone[cluster]
-    photons, weight = maps.anchor_photon[anchor], work.weight[lane]
-    x, y, z = photons[0], photons[1], photons[2]
-    inside = ZERO
-    for i in range(photons.shape[1]):
+def cones_pdf(work, lane, direction):
+    """Density of a uniform direction in the cone that `anchor_cone` or `cell_cone` chooses."""
+    x, y, z, height, inside = work.x[lane], work.y[lane], work.z[lane], work.height[lane], work.density[lane]
+    density = ZERO
+    for i in range(work.columns[lane]):
         a, b, c = x[i] - direction[0], y[i] - direction[1], z[i] - direction[2]
         # By the chord, 2 (1 - cosine): a comparison of cosines would lose samples of narrow cones to rounding.
-        inside += weight[i] if a * a + b * b + c * c <= TWO * height else ZERO
-    return inside / total * INV_TWO_PI / height
+        density += inside[i] if a * a + b * b + c * c <= TWO * height[i] else ZERO
+    return density
 
 
 @inline
@@ -162,30 +202,3 @@ def coarse_density(maps, cluster, i):
     """Density of `sample_coarse` in bin i."""
     before = maps.coarse[cluster, i - 1] if i > 0 else ZERO
     return (maps.coarse[cluster, i] - before) * (np.float32(COLUMNS * ROWS) * HALF * INV_TWO_PI)
-
-
-@inline
-def cell_cone(maps, cell, choice):
-    """One of a cell's directions, all alike: direction and height of its cone."""
-    i = np.int64(choice * np.float32(KEPT))
-    axis = (maps.cell_direction[cell, 0, i], maps.cell_direction[cell, 1, i], maps.cell_direction[cell, 2, i])
-    return axis, ONE - maps.cell_cone[cell]
-
-
-@inline
-def sample_cell(maps, cell, choice, u, v):
-    """Uniform direction in the cone around one of a cell's directions. It may lie below the horizon."""
-    axis, height = cell_cone(maps, cell, choice)
-    return in_cone(axis, height, u, v)
-
-
-@inline
-def cell_pdf(maps, cell, direction):
-    """Density of `sample_cell`."""
-    height = ONE - maps.cell_cone[cell]
-    x, y, z = maps.cell_direction[cell, 0], maps.cell_direction[cell, 1], maps.cell_direction[cell, 2]
-    inside = ZERO
-    for i in range(KEPT):
-        a, b, c = x[i] - direction[0], y[i] - direction[1], z[i] - direction[2]
-        inside += ONE if a * a + b * b + c * c <= TWO * height else ZERO
-    return inside * (INV_TWO_PI / np.float32(KEPT)) / height

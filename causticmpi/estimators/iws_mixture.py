@@ -1,11 +1,10 @@
 """One pass of IWS+CF with mixture sampling, our rival to the paper's two tables (`forecast.sampling: mixture`).
 
 At every non-specular vertex one set of rays serves the compensation and the caustics alike: each ray has the density of
-the whole mixture (caustic_mixture), a hit on D is compensation, a hit on S a caustic. The first vertex has S fine rays
-or, where photons are thin, one from its cell, one coarse and one BRDF ray; deeper vertices have one coarse or
-BRDF ray by chance and DEEP_RAYS from their cell. Where light tracing draws the caustics of the first
+the whole mixture (caustic_mixture), a hit on D is compensation, a hit on S a caustic. The first vertex has one BRDF
+ray, one coarse, and S by the photons of its anchor or, where photons are thin, one by those of its cell; deeper ones
+have one BRDF or coarse ray by chance, and DEEP_RAYS by photons. Where light tracing draws the caustics of the first
 vertex, only the compensation is left of all this.
-The photons of the nearest anchor steer a vertex (preprocess.anchors): a forecast is only a pdf.
 """
 
 import math
@@ -26,7 +25,9 @@ from causticmpi.preprocess.cells import cell_of
 from causticmpi.preprocess.forecast import cluster_of
 
 DEEP_RAYS = 2
-"""Rays of a deeper vertex by the directions of its cell."""
+"""Rays of a deeper vertex by the photons of its anchor or cell."""
+DEEP_PHOTONS = 32
+"""Photons of its anchor that steer it, of 50: they come from far away in memory; the noise is the same."""
 
 
 @inline
@@ -50,7 +51,20 @@ def _foresee_tile(maps, work):
             d = vec.sub(q, p)
             if vec.dot(d, d) <= reach2 and vec.dot(n, m) > np.float32(0.9):
                 near.cluster[j] = cluster
-                near.anchor[j] = cm.photons_near(maps, cluster, q)
+                near.anchor[j] = cm.photons_near(maps, cluster, q, m)
+
+
+@inline
+def _find_photons(scene, maps, near, i, at, columns):
+    """The photons that steer vertex i: the first `columns` of its anchor, if one of them counts there, else those of
+    its cell. Returns whether there are any."""
+    near.cell[i] = -1
+    if near.anchor[i] >= 0 and cm.weigh_anchor(scene, maps, near, i, at, columns) > ZERO:
+        return True
+    near.anchor[i], near.cell[i] = -1, cell_of(maps, at.p, at.n)
+    if near.cell[i] >= 0:
+        cm.turn_cell(maps, near, i, at.p)
+    return near.cell[i] >= 0
 
 
 @inline
@@ -64,14 +78,9 @@ def _send_first(scene, work, maps):
         if work.lane[i, 3] == ZERO or work.lane[i, 4] > ZERO:
             continue
         at = get(work.now, i)
-        near.total[i] = ZERO
+        steered = np.int64(_find_photons(scene, maps, near, i, at, maps.anchor_photon.shape[2]))
         if near.anchor[i] >= 0:
-            near.total[i] = cm.weigh_fine(scene, maps, near, i, near.anchor[i], at.n, at.wo, at.material)
-        fine = splitting(maps, maps.rank[near.cluster[i]], 0) if near.total[i] > ZERO else 0
-        if fine == 0:
-            near.anchor[i] = -1
-            near.cell[i] = cell_of(maps, at.p, at.n)
-        steered = fine if fine > 0 else np.int64(near.cell[i] >= 0)
+            steered = splitting(maps, maps.rank[near.cluster[i]], 0)
         glossy |= rays.take_up(scene, work, i, 2 + steered)
     most = rays.most_rays(work)
     for j in range(most):
@@ -88,15 +97,17 @@ def _send_first(scene, work, maps):
 @inline
 def _send_deep(scene, work, maps, count):
     """The rays of `count` deeper vertices: one goes by BRDF or coarse directions, by the toss of a coin; DEEP_RAYS more
-    by those of its cell, if there is one."""
+    by photons, if there are any."""
     near = work.forecast
+    columns = min(DEEP_PHOTONS, maps.anchor_photon.shape[2])
     rays.begin(work)
     glossy = False
     for i in range(count):
         at = get(work.now, i)
         near.cluster[i] = cluster_of(maps, at.p, at.n, near.codeword_distance)
-        near.anchor[i], near.cell[i] = -1, cell_of(maps, at.p, at.n)
-        glossy |= rays.take_up(scene, work, i, 1 + (DEEP_RAYS if near.cell[i] >= 0 else 0))
+        near.anchor[i] = cm.photons_near(maps, near.cluster[i], at.p, at.n)
+        steered = DEEP_RAYS if _find_photons(scene, maps, near, i, at, columns) else 0
+        glossy |= rays.take_up(scene, work, i, 1 + steered)
     most = rays.most_rays(work)
     for j in range(most):
         rays.draw(work, j)

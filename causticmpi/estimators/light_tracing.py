@@ -17,6 +17,7 @@ from causticmpi.kernels.material_kinds import DIFFUSE
 from causticmpi.kernels.particle_emission import emit_guided
 from causticmpi.kernels.path_layout import get3, put3
 from causticmpi.kernels.vec import INV_PI, ONE, ZERO
+from causticmpi.kernels.wavefront import arrive_without, leave_without
 
 _LIGHT, _SLOT = at.PACKETS + at.PACKET_WORDS, at.PACKETS + at.PACKET_WORDS + 3 * LANES
 """Rows beside the packet of rays to the eye: what they bring to the film, and where."""
@@ -111,6 +112,8 @@ def trace_light_paths(scene, camera, work, queues, guide, window, seed, pass_ind
             for i in range(LANES):
                 put3(work, at.THROUGHPUT, i, vec.scale(get3(work, at.THROUGHPUT, i), share))
             waiting = waves.wait(work, queues[0], waiting)
-        (splats, eye_rays), rays = waves.walk(scene, work, queues, waiting, _queue_splats, drawing, (0, 0))
+        (splats, eye_rays), rays = waves.walk(
+            scene, work, queues, waiting, arrive_without, leave_without, queues, _queue_splats, drawing, (0, 0)
+        )
         traced += rays + eye_rays + _splat(scene, work, film, splats)
     return traced

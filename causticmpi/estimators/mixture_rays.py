@@ -20,14 +20,15 @@ from causticmpi.kernels.vec import ALMOST_ONE, HALF, INFINITY, INV_PI, ONE, TWO,
 NORMAL, SHADE, KEY, RAY_KEY, CHOICE, COIN, U, V, DIRECTION, WEIGHT, SURVIVE, REACH, AXIS, HEIGHT, BIN, BRDF, STEERED = (
     LANES * row for row in (0, 3, 6, 8, 10, 11, 12, 13, 14, 17, 20, 21, 22, 25, 26, 27, 28)
 )
-COSINE, COUNT = LANES * 29, LANES * 30
+COSINE, COUNT, OWN = LANES * 29, LANES * 30, LANES * 31
 """Rows of a vertex that sends rays, as word offsets of the lanes in `MixtureWork.lane`.
 
 SHADE: throughput x Lambert's BRDF; KEY, RAY_KEY uint64: of the vertex and of its ray; COIN: above 0 where the ray goes
 by coarse directions; DIRECTION to REACH: the ray, as in `full_radiance.Rays`; AXIS, HEIGHT: the cone it is drawn from;
 BIN int32: of the coarse directions; BRDF: density of that sampler; STEERED: that of all others, times how often each is
-asked; COSINE: of direction and normal; COUNT int32: rays that the vertex sends. The last of them are drawn from cones,
-the first `others` are not: one by the BRDF and one by coarse directions, or one of the two by the toss of a coin."""
+asked; COSINE: of direction and normal; COUNT int32: rays that the vertex sends; OWN: density of the cone that the ray
+is drawn from, 0 for none. The last of them are drawn from cones, the first `others` are not: one by the BRDF and one by
+coarse directions, or one of the two by the toss of a coin."""
 
 
 @inline
@@ -70,6 +71,7 @@ def draw(work, j):
         key = keys[RAY_KEY // 2 + i]
         lane[CHOICE + i], lane[SURVIVE + i] = rng.uniform2(key, fr.CHOICE)
         lane[U + i], lane[V + i] = rng.uniform2(key, fr.DIRECTION)
+        lane[OWN + i] = ZERO
 
 
 @inline
@@ -131,28 +133,18 @@ def by_cones(maps, work, j, others):
     lane = near.lane
     words = lane.view(np.int32)
     for i in range(LANES):
-        axis, height = (ZERO, ZERO, ONE), ONE
+        axis, height, own = (ZERO, ZERO, ONE), ONE, ZERO
         if words[COUNT + i] > j:
             if near.anchor[i] >= 0:
                 stratum = (np.float32(j - others) + lane[CHOICE + i]) / np.float32(words[COUNT + i] - others)
                 choice = min(ALMOST_ONE, stratum)
-                axis, height = cm.fine_cone(maps, near, i, near.cluster[i], near.anchor[i], near.total[i], choice)
+                axis, height, own = cm.anchor_cone(maps, near, i, choice)
             else:
-                axis, height = cm.cell_cone(maps, near.cell[i], lane[CHOICE + i])
+                axis, height, own = cm.cell_cone(near, i, lane[CHOICE + i])
         put3(lane, AXIS, i, axis)
-        lane[HEIGHT + i] = height
+        lane[HEIGHT + i], lane[OWN + i] = height, own
     for i in range(LANES):
         put3(lane, DIRECTION, i, cm.in_cone(get3(lane, AXIS, i), lane[HEIGHT + i], lane[U + i], lane[V + i]))
-
-
-@inline
-def _steered_density(maps, near, i, direction, steered):
-    """Density of the cones of vertex i, times how often they are asked."""
-    if near.anchor[i] >= 0:
-        density = cm.fine_pdf(maps, near, i, near.cluster[i], near.anchor[i], near.total[i], direction)
-    else:
-        density = cm.cell_pdf(maps, near.cell[i], direction)
-    return np.float32(steered) * density
 
 
 @inline
@@ -177,8 +169,12 @@ def send(scene, maps, work, j, others, glossy):
         lane[STEERED + i] = ONE
         if lane[REACH + i] > ZERO:
             density = share * cm.coarse_density(maps, near.cluster[i], np.int64(words[BIN + i]))
-            if words[COUNT + i] > others:
-                density += _steered_density(maps, near, i, get3(lane, DIRECTION, i), words[COUNT + i] - others)
+            steered = words[COUNT + i] - others
+            if steered > 0:
+                # The rounding of a direction at the rim of its own cone must not put it outside: no other sampler is
+                # nearly as dense there, and it would count too much.
+                inside = max(lane[OWN + i], cm.cones_pdf(near, i, get3(lane, DIRECTION, i)))
+                density += np.float32(steered) * inside
             lane[STEERED + i] = density
     for i in range(LANES):
         density = share * lane[BRDF + i] + lane[STEERED + i]

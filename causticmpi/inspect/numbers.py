@@ -8,6 +8,7 @@ import numpy as np
 from causticmpi.distributed.usage import peak_memory_mb
 from causticmpi.inspect.findings import Findings
 from causticmpi.preprocess.forecast import CULLED
+from causticmpi.preprocess.parallax import HEIGHT
 from causticmpi.scene.data import SceneData
 
 KINDS = ("diffuse", "phong", "mirror", "dielectric")
@@ -80,7 +81,8 @@ def _clusters(found: Findings) -> dict[str, Any]:
     held = np.diff(maps.start)
     ranked = statistics.rank <= maps.max_rank
     radius = np.sqrt(statistics.area / np.pi)
-    cone = np.degrees(np.arccos(np.clip(maps.cone, -1, 1)))
+    height = maps.anchor_photon[:, HEIGHT].astype(np.float64)
+    cone = np.degrees(np.arccos(1 - height[height > 0]))
     by_rank = []
     for rank in np.unique(statistics.rank).tolist():
         these = statistics.rank == rank
@@ -104,7 +106,8 @@ def _clusters(found: Findings) -> dict[str, Any]:
         "caustic_points": _spread(statistics.photons),
         "energy": _spread(statistics.energy),
         "radius": _spread(radius),
-        "cone_half_angle": _spread(cone[ranked]) if ranked.any() else None,
+        "anchors": int((maps.anchor_count > 0).sum()),
+        "cone_half_angle": _spread(cone) if len(cone) else None,
         "by_rank": by_rank,
         "each": {
             "rank": statistics.rank.tolist(),
@@ -112,7 +115,6 @@ def _clusters(found: Findings) -> dict[str, Any]:
             "forecast_points": held.tolist(),
             "energy": statistics.energy.tolist(),
             "radius": radius.tolist(),
-            "cone_half_angle": cone.tolist(),
         },
     }
 
@@ -154,14 +156,19 @@ def _cluster_rows(clusters: Mapping[str, Any]) -> list[tuple[str, str]]:
     rows = [
         ("clusters", f"{clusters['count']}, {clusters['culled']} culled (rank above {clusters['max_rank']})"),
         ("search radius", f"{clusters['search_radius']:.4g} scene units, overlap {clusters['overlap']:.4g}"),
-        ("forecast maps", f"{clusters['forecast_points']:,} points, overlaps counted"),
+        (
+            "forecast maps",
+            f"{clusters['forecast_points']:,} points, overlaps counted"
+            if clusters["forecast_points"]
+            else f"{clusters['anchors']:,} anchors",
+        ),
         ("per cluster", "least / median / greatest"),
         ("  points", spread(clusters["caustic_points"])),
         ("  energy [%]", spread({k: 100 * v for k, v in clusters["energy"].items()})),
         ("  radius", spread(clusters["radius"])),
     ]
     if clusters["cone_half_angle"] is not None:
-        rows.append(("  cones [deg]", spread(clusters["cone_half_angle"])))
+        rows.append(("  cones [deg]", spread(clusters["cone_half_angle"]) + " of all"))
     rows.append(("rank", f"{'clusters':>8} {'points':>9} {'energy':>9} {'so far':>9}"))
     for row in clusters["by_rank"]:
         name = "no energy" if row["rank"] is None else row["rank"]

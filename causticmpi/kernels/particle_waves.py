@@ -31,9 +31,10 @@ def particle_work() -> tuple[np.ndarray, np.ndarray]:
 
 
 @inline
-def walk(scene, work, queues, waiting, note, notebook, noted):
+def walk(scene, work, queues, waiting, arrive, leave, fronts, note, notebook, noted):
     """Let the `waiting` rays of a group, those in the first queue, go on until none is left.
 
+    arrive, leave, fronts: of `wavefront`, for particles that carry one along;
     note(scene, work, notebook, noted): called for each block that has met non-specular surfaces, but for those that
     particles come to straight from a light; returns what is noted now. Returns (noted, rays traced).
     """
@@ -47,9 +48,11 @@ def walk(scene, work, queues, waiting, note, notebook, noted):
             used = min(LANES, waiting - block * LANES)
             at.load_block(work, now, block, used)
             specular, other, glossy = _meet(scene, work, used)
+            arrive(work, fronts, wave, block)
             if wave > 0 and other > 0:
                 noted = note(scene, work, notebook, noted)
             _scatter(scene, work, specular, other, glossy)
+            leave(scene, work, fronts, wave, going_on)
             going_on = wait(work, then, going_on)
         waiting = going_on
         wave += 1

@@ -112,3 +112,15 @@ def reflect(w, n):
     """Mirror image of w (pointing away from the surface) about n."""
     d = TWO * dot(w, n)
     return d * n[0] - w[0], d * n[1] - w[1], d * n[2] - w[2]
+
+
+@inline
+def closest_axis(n):
+    """Which of the six half axes a vector is closest to: 0 for +x, 1 for -x, … 5 for -z."""
+    ax, ay, az = abs(n[0]), abs(n[1]), abs(n[2])
+    axis, sign = 2, n[2]
+    if ax >= ay and ax >= az:
+        axis, sign = 0, n[0]
+    elif ay >= az:
+        axis, sign = 1, n[1]
+    return 2 * axis + (1 if sign < ZERO else 0)

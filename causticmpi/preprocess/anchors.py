@@ -1,16 +1,23 @@
-"""Anchors: places among the forecast photons, each with the photons nearest to it, found once and for all passes.
+"""Anchors: places among the caustic points, each with the photons nearest to it, found once and for all passes.
 
-A forecast is only a pdf: the neighbours of a place close by steer as well as one's own, and looking them up costs a
-walk down a tree instead of a search. The anchors lie as dense as the photons: one amid every run of at most RUN.
+A forecast is only a pdf: the neighbours of a place close by steer as well as one's own once their directions are turned
+to what they are here (parallax), and looking them up costs a walk down a tree instead of a search. The anchors lie as
+dense as the photons: one amid every run of at most RUN. There is a tree for each of the six ways that a surface may
+face, over all caustic points: clusters overlap by the search radius, which in a large room is most of it.
 """
 
 from typing import Any
 
 import numpy as np
 
+from causticmpi.kernels import vec
 from causticmpi.kernels.jit import inline, kernel
-from causticmpi.kernels.kdtree import LEAF, MAX_DEPTH, nearest, run_of
+from causticmpi.kernels.kdtree import LEAF, MAX_DEPTH, build_trees, nearest, run_of
+from causticmpi.kernels.wavefront import ENTRIES
+from causticmpi.preprocess.parallax import CURVATURE, DIRECTION, POWER, ROWS, settle
+from causticmpi.preprocess.photons import CausticPoints
 
+FACINGS = 6
 PADDING = 64
 """The photons of an anchor are padded to a multiple of this by some without power or direction: loops over them are
 vector code without a rest."""
@@ -18,50 +25,45 @@ RUN = 2 * LEAF
 """Photons around an anchor, at most: rows of the tree that no plane parts further."""
 SHORTEST = RUN // 2
 """A run of a tree has at least as many, unless it is the whole tree: the number of its anchor follows from its rows."""
+REACH = np.float32(1.75)
+"""How far an anchor speaks, and the photons it knows lie from it, over the search radius: from farther off they steer
+worse than the cells of a coarser grid do."""
+COMPANIONS = 4
+"""Other photons of the anchor that tell how wide a photon's cone is (parallax)."""
 
 
 @inline
-def anchor_of(maps, cluster, p):
-    """The anchor of a cluster whose run p falls into; -1 if p is farther from it than the search radius."""
-    low, high = maps.start[cluster], maps.start[cluster + 1]
+def anchor_of(maps, p, n):
+    """The anchor whose run p with normal n falls into; -1 if p is farther from it than it reaches."""
+    facing = vec.closest_axis(n)
+    low, high = maps.tree_start[facing], maps.tree_start[facing + 1]
     if low == high:
         return np.int64(-1)
-    first, _ = run_of(maps.x, maps.y, maps.z, maps.axis, low, high, p, RUN)
-    anchor = np.int64(maps.anchor_start[cluster] + (first - low) // SHORTEST)
+    first, _ = run_of(maps.tree_x, maps.tree_y, maps.tree_z, maps.tree_axis, low, high, p, RUN)
+    anchor = np.int64(maps.anchor_start[facing] + (first - low) // SHORTEST)
     x, y, z = (maps.anchor[anchor, 0] - p[0], maps.anchor[anchor, 1] - p[1], maps.anchor[anchor, 2] - p[2])
-    radius = np.float32(maps.radius)
-    return anchor if x * x + y * y + z * z < radius * radius else np.int64(-1)
+    reach = REACH * np.float32(maps.radius)
+    return anchor if x * x + y * y + z * z < reach * reach else np.int64(-1)
 
 
 @kernel
-def _gather_at_anchors(
-    x,
-    y,
-    z,
-    axis,
-    direction,
-    power,
-    start,
-    anchor_start,
-    radius2,
-    anchor,
-    photon,
-    count,
-    distance,
-    row,
-    stack,
-    plane,
-    runs,
-):
-    """Fill anchor (anchors, 3), photon (anchors, 4, >= n) and count (anchors,) from trees over the photons.
+def _facings(normal, facing):
+    """Which way each normal (n, 3) faces: facing (n,)."""
+    for i in range(normal.shape[0]):
+        facing[i] = vec.closest_axis((normal[i, 0], normal[i, 1], normal[i, 2]))
 
-    distance, row (n,), stack, plane: workspace of `nearest`; runs (2 * MAX_DEPTH,) int64: of the walk.
+
+@kernel
+def _find_runs(start, anchor_start, runs, run):
+    """Rows of every run of the trees over rows start[i] … start[i + 1]: run (anchors, 2), by number of its anchor.
+
+    runs (2 * MAX_DEPTH,) int64: workspace.
     """
-    for cluster in range(start.shape[0] - 1):
+    for tree in range(start.shape[0] - 1):
         top = -1
-        if start[cluster + 1] > start[cluster]:
+        if start[tree + 1] > start[tree]:
             top = 0
-            runs[0], runs[1] = start[cluster], start[cluster + 1]
+            runs[0], runs[1] = start[tree], start[tree + 1]
         while top >= 0:
             low, high = runs[2 * top], runs[2 * top + 1]
             top -= 1
@@ -70,21 +72,42 @@ def _gather_at_anchors(
                 runs[2 * top + 2], runs[2 * top + 3] = low, middle
                 runs[2 * top + 4], runs[2 * top + 5] = middle + 1, high
                 top += 2
+            else:
+                anchor = anchor_start[tree] + (low - start[tree]) // SHORTEST
+                run[anchor, 0], run[anchor, 1] = low, high
+
+
+@kernel
+def _gather(x, y, z, axis, start, anchor_start, run, radius2, photons, anchor, photon, count, offset, search, work):
+    """Fill anchor (anchors, 3), photon (anchors, ROWS, >= n) and count (anchors,) from the trees.
+
+    photons: direction (k, 3), power (k,), curvature (k, ENTRIES) in tree order; search: distance, row (n,), stack and
+    plane of `nearest`; offset (3, n), work: of `settle`.
+    """
+    direction, power, curvature = photons
+    distance, row, stack, plane = search
+    for tree in range(start.shape[0] - 1):
+        first, last = start[tree], start[tree + 1]
+        for a in range(anchor_start[tree], anchor_start[tree + 1]):
+            low, high = run[a, 0], run[a, 1]
+            if low == high:  # a number that no run has
                 continue
-            a = anchor_start[cluster] + (low - start[cluster]) // SHORTEST
             sx = sy = sz = 0.0
             for i in range(low, high):
                 sx, sy, sz = sx + x[i], sy + y[i], sz + z[i]
             share = 1 / (high - low)
             p = (np.float32(sx * share), np.float32(sy * share), np.float32(sz * share))
             anchor[a, 0], anchor[a, 1], anchor[a, 2] = p
-            count[a] = nearest(
-                x, y, z, axis, start[cluster], start[cluster + 1], p, radius2, row.shape[0], distance, row, stack, plane
-            )
+            count[a] = nearest(x, y, z, axis, first, last, p, radius2, row.shape[0], distance, row, stack, plane)
             for i in range(count[a]):
+                j = row[i]
                 for c in range(3):
-                    photon[a, c, i] = direction[row[i], c]
-                photon[a, 3, i] = power[row[i]]
+                    photon[a, DIRECTION + c, i] = direction[j, c]
+                photon[a, POWER, i] = power[j]
+                for c in range(ENTRIES):
+                    photon[a, CURVATURE + c, i] = curvature[j, c]
+                offset[0, i], offset[1, i], offset[2, i] = p[0] - x[j], p[1] - y[j], p[2] - z[j]
+            settle(photon[a], offset, count[a], COMPANIONS, work)
 
 
 def padded(neighbours: int) -> int:
@@ -92,46 +115,60 @@ def padded(neighbours: int) -> int:
     return -(-neighbours // PADDING) * PADDING
 
 
-def build_anchors(
-    coordinates: tuple[np.ndarray, np.ndarray, np.ndarray],
-    axis: np.ndarray,
-    direction: np.ndarray,
-    power: np.ndarray,
-    start: np.ndarray,
-    radius: float,
-    neighbours: int,
-) -> dict[str, Any]:
-    """The `anchor*` fields of `ForecastMaps`; arguments as there, radius in scene units."""
-    rows = np.diff(start)
-    anchor_start = np.concatenate([[0], np.cumsum(-(-rows // SHORTEST))]).astype(np.int64)
+def build_anchors(points: CausticPoints, radius: float, neighbours: int) -> dict[str, Any]:
+    """The `tree_*` and `anchor*` fields of `ForecastMaps` from caustic points whose power is a number (n,).
+
+    radius: of the search [scene units].
+    """
+    position, normal, direction, power, curvature = points
+    facing = np.empty(len(power), np.int8)
+    _facings(normal, facing)
+    order = np.argsort(facing, kind="stable").astype(np.int32)
+    start = np.searchsorted(facing[order], np.arange(FACINGS + 1)).astype(np.int64)
+    axis = np.zeros(len(order), np.uint8)
+    columns = np.ascontiguousarray(position.T)
+    build_trees(columns, start, order, axis, np.zeros(2 * MAX_DEPTH, np.int64))
+    x, y, z = np.take(columns, order, axis=1)
+    anchor_start = np.concatenate([[0], np.cumsum(-(-np.diff(start) // SHORTEST))]).astype(np.int64)
+    run = np.zeros((anchor_start[-1], 2), np.int64)
+    _find_runs(start, anchor_start, np.zeros(2 * MAX_DEPTH, np.int64), run)
     anchor = np.zeros((anchor_start[-1], 3), np.float32)
-    photon = np.zeros((anchor_start[-1], 4, padded(neighbours)), np.float32)
+    photon = np.zeros((anchor_start[-1], ROWS, padded(neighbours)), np.float32)
     count = np.zeros(anchor_start[-1], np.int32)
-    _gather_at_anchors(
-        *coordinates,
-        axis,
-        direction,
-        power,
-        start,
-        anchor_start,
-        np.float32(radius * radius),
-        anchor,
-        photon,
-        count,
+    photons = direction[order], power[order].astype(np.float32), curvature[order]
+    search = (
         np.zeros(neighbours, np.float32),
         np.zeros(neighbours, np.int64),
         np.zeros(2 * MAX_DEPTH, np.int32),
         np.zeros(MAX_DEPTH, np.float32),
-        np.zeros(2 * MAX_DEPTH, np.int64),
     )
-    return {"anchor_start": anchor_start, "anchor": anchor, "anchor_photon": photon, "anchor_count": count}
+    offset, work = np.zeros((3, neighbours), np.float32), np.zeros((5, neighbours), np.float32)
+    radius2 = (REACH * np.float32(radius)) ** 2
+    _gather(x, y, z, axis, start, anchor_start, run, radius2, photons, anchor, photon, count, offset, search, work)
+    return {
+        "tree_x": x,
+        "tree_y": y,
+        "tree_z": z,
+        "tree_axis": axis,
+        "tree_start": start,
+        "anchor_start": anchor_start,
+        "anchor": anchor,
+        "anchor_photon": photon,
+        "anchor_count": count,
+    }
 
 
 def no_anchors(neighbours: int) -> dict[str, Any]:
     """Of maps without a photon."""
+    floats = np.empty(0, np.float32)
     return {
-        "anchor_start": np.zeros(1, np.int64),
+        "tree_x": floats,
+        "tree_y": floats,
+        "tree_z": floats,
+        "tree_axis": np.empty(0, np.uint8),
+        "tree_start": np.zeros(FACINGS + 1, np.int64),
+        "anchor_start": np.zeros(FACINGS + 1, np.int64),
         "anchor": np.zeros((0, 3), np.float32),
-        "anchor_photon": np.zeros((0, 4, padded(neighbours)), np.float32),
+        "anchor_photon": np.zeros((0, ROWS, padded(neighbours)), np.float32),
         "anchor_count": np.zeros(0, np.int32),
     }

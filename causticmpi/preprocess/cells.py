@@ -9,17 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from causticmpi.kernels import rng
+from causticmpi.kernels import rng, vec
 from causticmpi.kernels.jit import inline, kernel
-from causticmpi.kernels.vec import ZERO
-from causticmpi.preprocess.directions import NARROWEST, WIDEST
+from causticmpi.preprocess.parallax import CURVATURE, DIRECTION, POWER, ROWS, settle_all
+from causticmpi.preprocess.photons import CausticPoints
 
 KEPT = 16
 """Directions of a cell, drawn from its photons in proportion to power: equal weights, one vector register."""
 FEWEST = 4
 """Photons below which a cell says nothing."""
-COMPANIONS = 5
-"""A cone is as wide as it takes to hold this many other directions of the cell."""
+COMPANIONS = 2
+"""Other photons of the cell that tell how wide a photon's cone is (parallax)."""
 PHOTONS_PER_CELL = 48
 LEVELS, COARSER = 3, 3
 """Grids, and the ratio of their cells' edges from one to the next: where photons are thin a larger cell speaks."""
@@ -30,13 +30,7 @@ EMPTY = np.uint64(0)
 def cell_key(size, level, p, n):
     """Key of the cell of a level that p with normal n lies in, never EMPTY: place in the grid and the axis n is closest
     to. size: edge of its cells."""
-    ax, ay, az = abs(n[0]), abs(n[1]), abs(n[2])
-    axis, sign = 2, n[2]
-    if ax >= ay and ax >= az:
-        axis, sign = 0, n[0]
-    elif ay >= az:
-        axis, sign = 1, n[1]
-    face = 6 * level + 2 * axis + (1 if sign < ZERO else 0)
+    face = 6 * level + vec.closest_axis(n)
     x, y, z = np.int64(math.floor(p[0] / size)), np.int64(math.floor(p[1] / size)), np.int64(math.floor(p[2] / size))
     key = rng.mix(np.uint64(x) * np.uint64(73856093) + np.uint64(face))
     key = rng.mix(key ^ np.uint64(y))
@@ -82,15 +76,13 @@ def cell_edge(radius: float, neighbours: int) -> float:
     return radius * math.sqrt(math.pi * PHOTONS_PER_CELL / neighbours)
 
 
-def build_cells(
-    position: np.ndarray, normal: np.ndarray, direction: np.ndarray, power: np.ndarray, size: float
-) -> dict[str, Any]:
-    """The `cell_*` fields of `ForecastMaps` from caustic points: position, normal, direction (n, 3), power (n,).
+def build_cells(points: CausticPoints, size: float) -> dict[str, Any]:
+    """The `cell*` fields of `ForecastMaps` from caustic points whose power is a number (n,).
 
     size: edge of the smallest cells [scene units].
     """
-    levels = [_level(position, normal, direction, power, size * COARSER**i, i) for i in range(LEVELS)]
-    keys, directions, cones = (np.concatenate(parts) for parts in zip(*levels, strict=True))
+    levels = [_level(points, size * COARSER**i, i) for i in range(LEVELS)]
+    keys, centres, photons = (np.concatenate(parts) for parts in zip(*levels, strict=True))
     table = np.zeros(1 << max(1, int(2 * len(keys))).bit_length(), np.uint64)
     row = np.zeros(len(table), np.int32)
     _fill(keys, table, row)
@@ -98,15 +90,14 @@ def build_cells(
         "cell_size": float(size),
         "cell_key": table,
         "cell_row": row,
-        "cell_direction": np.ascontiguousarray(directions.transpose(0, 2, 1)),
-        "cell_cone": cones,
+        "cell": centres,
+        "cell_photon": photons,
     }
 
 
-def _level(
-    position: np.ndarray, normal: np.ndarray, direction: np.ndarray, power: np.ndarray, size: float, level: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Keys (cells,), directions (cells, KEPT, 3) and cones (cells,) of the cells of a level with enough photons."""
+def _level(points: CausticPoints, size: float, level: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Keys (cells,), middles (cells, 3) and photons (cells, ROWS, KEPT) of the cells of a level with enough photons."""
+    position, normal, direction, power, curvature = points
     keys = np.empty(len(power), np.uint64)
     _keys(size, level, position, normal, keys)
     order = np.argsort(keys, kind="stable")
@@ -118,23 +109,17 @@ def _level(
     # Systematic resampling: every KEPT-th part of a cell's power names a photon.
     marks = low[:, None] + (high - low)[:, None] * ((np.arange(KEPT) + 0.5) / KEPT)
     chosen = np.searchsorted(running, marks, side="right") - 1
-    chosen = np.clip(chosen, first[:, None], (first + counts - 1)[:, None])
-    directions = direction[order[chosen]].astype(np.float32)
-    return found, directions, _cones(directions, counts)
-
-
-def _cones(directions: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Cosine of the half angle of each cell's cones (m,) float32."""
-    cones = np.empty(len(directions), np.float32)
+    chosen = order[np.clip(chosen, first[:, None], (first + counts - 1)[:, None])]
+    photon = np.zeros((len(found), ROWS, KEPT), np.float32)
+    photon[:, DIRECTION : DIRECTION + 3] = direction[chosen].transpose(0, 2, 1)
+    photon[:, CURVATURE:] = curvature[chosen].transpose(0, 2, 1)
+    photon[:, POWER] = 1
+    centre = position[chosen].mean(axis=1, dtype=np.float64).astype(np.float32)
+    offset = np.ascontiguousarray((centre[:, None] - position[chosen]).transpose(0, 2, 1), np.float32)
     repeats = -(-KEPT // np.minimum(counts, KEPT))
-    companion = np.minimum(KEPT - 1, repeats * (1 + COMPANIONS) - 1)
-    for start in range(0, len(directions), 4096):
-        some = directions[start : start + 4096].astype(np.float64)
-        cosines = -np.sort(-np.einsum("ijc,ikc->ijk", some, some), axis=2)
-        picked = np.take_along_axis(cosines, companion[start : start + 4096, None, None], axis=2)[:, :, 0]
-        angle = np.median(np.arccos(np.clip(picked, -1, 1)), axis=1)
-        cones[start : start + 4096] = np.cos(np.clip(angle, NARROWEST, WIDEST))
-    return cones
+    companions = np.minimum(KEPT - 1, repeats * (1 + COMPANIONS) - 1)
+    settle_all(photon, offset, companions, np.zeros((5, KEPT), np.float32))
+    return found, centre, photon
 
 
 def no_cells() -> dict[str, Any]:
@@ -143,6 +128,6 @@ def no_cells() -> dict[str, Any]:
         "cell_size": 1.0,
         "cell_key": np.zeros(2, np.uint64),
         "cell_row": np.zeros(2, np.int32),
-        "cell_direction": np.zeros((0, 3, KEPT), np.float32),
-        "cell_cone": np.zeros(0, np.float32),
+        "cell": np.zeros((0, 3), np.float32),
+        "cell_photon": np.zeros((0, ROWS, KEPT), np.float32),
     }

@@ -11,7 +11,7 @@ from causticmpi.kernels import kdtree
 from causticmpi.kernels.jit import inline, kernel
 from causticmpi.preprocess.anchors import build_anchors, no_anchors
 from causticmpi.preprocess.cells import build_cells, cell_edge, no_cells
-from causticmpi.preprocess.directions import COLUMNS, ROWS, coarse_tables, cone_cosines
+from causticmpi.preprocess.directions import COLUMNS, ROWS, coarse_tables
 from causticmpi.preprocess.k_means import k_means_codebook
 from causticmpi.preprocess.photons import CausticPoints
 from causticmpi.preprocess.vector_quantization import assign, features, learn_codebook, nearest_codeword
@@ -27,14 +27,15 @@ class ForecastMaps(NamedTuple):
 
     codebook (6, m) float32: the cluster map, codewords in feature space (position, normal * normal_scale)
     rank (m,) int32: energy rank of each cluster; start (m+1,) int64: its rows of the forecast map
-    x, y, z, power (k,) float32, direction (k, 3) float32, axis (k,) uint8: forecast photons in tree order
-    coarse (m, bins) float32: running sums of each cluster's directions; cone (m,) float32: cosine of its cones' half
-    angle (see directions.py)
-    anchor_start (m+1,) int64: the anchors of each cluster; anchor (anchors, 3), anchor_photon (anchors, 4, n or more)
-    float32: direction and power of the photons nearest to each; anchor_count (anchors,) int32: how many they are (see
-    anchors.py)
-    cell_size [scene units]; cell_key, cell_row (2^k,): hash table of occupied cells; cell_direction (cells, 3, KEPT),
-    cell_cone (cells,) float32: their directions and the cosine of their cones' half angle (see cells.py)
+    x, y, z, power (k,) float32, direction (k, 3) float32, axis (k,) uint8: forecast photons in tree order, none for
+    mixture sampling, which goes by what follows
+    coarse (m, bins) float32: running sums of each cluster's directions (see directions.py)
+    tree_x, tree_y, tree_z (n,) float32, tree_axis (n,) uint8, tree_start (7,) int64: trees over all caustic points, by
+    the way their surface faces; anchor_start (7,) int64: the anchors of each; anchor (anchors, 3), anchor_photon
+    (anchors, ROWS, n or more) float32: where they are and the photons nearest to each (see parallax.py); anchor_count
+    (anchors,) int32: how many they are (see anchors.py)
+    cell_size [scene units]; cell_key, cell_row (2^k,): hash table of occupied cells; cell (cells, 3), cell_photon
+    (cells, ROWS, KEPT) float32: the middle of each and photons that stand for it (see cells.py)
     normal_scale, radius: scene units; columns, rows: bins of the directional tables; neighbours: n
     """
 
@@ -48,7 +49,11 @@ class ForecastMaps(NamedTuple):
     power: Any
     axis: Any
     coarse: Any
-    cone: Any
+    tree_x: Any
+    tree_y: Any
+    tree_z: Any
+    tree_axis: Any
+    tree_start: Any
     anchor_start: Any
     anchor: Any
     anchor_photon: Any
@@ -56,8 +61,8 @@ class ForecastMaps(NamedTuple):
     cell_size: float
     cell_key: Any
     cell_row: Any
-    cell_direction: Any
-    cell_cone: Any
+    cell: Any
+    cell_photon: Any
     normal_scale: float
     radius: float
     max_rank: int
@@ -140,12 +145,15 @@ def build_forecast(
     radius: float | None = None,
     overlap: float | None = None,
     clustering: str = "vq",
+    tables: bool = True,
+    mixture: bool = True,
 ) -> tuple[ForecastMaps, ClusterStatistics, dict[str, float]]:
     """Cluster, rank and index at least one caustic point. Also returns the seconds of `clustering` and of `trees`.
 
     radius: of the gather in scene units; None: n neighbours at the average density of the ranked clusters.
     overlap: epsilon around a cluster in scene units; None: the radius, so that a gather near the border of a cluster
-    finds what a tree over all photons would. clustering: a key of CODEBOOKS.
+    finds what a tree over all photons would. clustering: a key of CODEBOOKS. tables, mixture: which samplers the maps
+    are to serve.
     Raises ValueError for photons that are not finite: a density made of them would be none.
     """
     if not all(np.isfinite(array).all() for array in points):
@@ -168,42 +176,49 @@ def build_forecast(
         radius = min(math.sqrt(neighbours / (math.pi * density)), extent or 1.0) if density > 0 else 1.0
     overlap = radius if overlap is None else overlap
     clustered = time.perf_counter()
+    maps = no_forecast(table, neighbours)._replace(
+        codebook=codebook,
+        rank=rank,
+        coarse=coarse_tables(points.direction, power, cluster, count),
+        start=np.zeros(count + 1, np.int64),
+        normal_scale=scale,
+        radius=radius,
+        max_rank=max_rank,
+        splitting=splitting,
+    )
+    if tables:
+        maps = maps._replace(**_forecast_maps(points, power, codebook, feature, cluster, wanted, overlap))
+    if mixture:
+        grey = points._replace(power=power)
+        maps = maps._replace(
+            **build_anchors(grey, radius, neighbours), **build_cells(grey, cell_edge(radius, neighbours))
+        )
+    seconds = {"clustering": clustered - began, "trees": time.perf_counter() - clustered}
+    return maps, ClusterStatistics(photons, energy / max(energy.sum(), 1e-300), area, rank, radius, overlap), seconds
+
+
+def _forecast_maps(
+    points: CausticPoints,
+    power: np.ndarray,
+    codebook: np.ndarray,
+    feature: np.ndarray,
+    cluster: np.ndarray,
+    wanted: np.ndarray,
+    overlap: float,
+) -> dict[str, Any]:
+    """The fields of `ForecastMaps` from `start` to `axis`: a tree over the photons of each wanted cluster."""
     centres = codebook.T.astype(np.float64)
     gap = 2 * overlap * np.linalg.norm(centres[:, None] - centres[None], axis=2)
     order, start = _forecast_rows(codebook, feature, cluster, gap.astype(np.float32), wanted)
     axis = np.zeros(len(order), np.uint8)
     position = np.ascontiguousarray(points.position.T)
     kdtree.build_trees(position, start, order, axis, np.zeros(2 * kdtree.MAX_DEPTH, np.int64))
-    x, y, z = position[:, order]
+    x, y, z = np.take(position, order, axis=1)
     direction, strength = points.direction[order], power[order].astype(np.float32)
-    photons_in_trees = (x, y, z), axis, direction
-    maps = ForecastMaps(
-        codebook=codebook,
-        rank=rank,
-        start=start,
-        x=x,
-        y=y,
-        z=z,
-        direction=direction,
-        power=strength,
-        axis=axis,
-        coarse=coarse_tables(points.direction, power, cluster, count),
-        cone=cone_cosines(*photons_in_trees, start, radius, neighbours),
-        **build_anchors(*photons_in_trees, strength, start, radius, neighbours),
-        **build_cells(points.position, points.normal, points.direction, power, cell_edge(radius, neighbours)),
-        normal_scale=scale,
-        radius=radius,
-        max_rank=max_rank,
-        splitting=splitting,
-        columns=table[0],
-        rows=table[1],
-        neighbours=neighbours,
-    )
-    seconds = {"clustering": clustered - began, "trees": time.perf_counter() - clustered}
-    return maps, ClusterStatistics(photons, energy / max(energy.sum(), 1e-300), area, rank, radius, overlap), seconds
+    return {"start": start, "x": x, "y": y, "z": z, "direction": direction, "power": strength, "axis": axis}
 
 
-def no_forecast(table: tuple[int, int] = (32, 16)) -> ForecastMaps:
+def no_forecast(table: tuple[int, int] = (32, 16), neighbours: int = 1) -> ForecastMaps:
     """Maps without a cluster: every point is sampled by its BRDF alone."""
     floats, column = np.empty(0, np.float32), np.empty((6, 0), np.float32)
     return ForecastMaps(
@@ -217,8 +232,7 @@ def no_forecast(table: tuple[int, int] = (32, 16)) -> ForecastMaps:
         power=floats,
         axis=np.empty(0, np.uint8),
         coarse=np.empty((0, COLUMNS * ROWS), np.float32),
-        cone=floats,
-        **no_anchors(1),
+        **no_anchors(neighbours),
         **no_cells(),
         normal_scale=1.0,
         radius=1.0,
@@ -226,7 +240,7 @@ def no_forecast(table: tuple[int, int] = (32, 16)) -> ForecastMaps:
         splitting=1,
         columns=table[0],
         rows=table[1],
-        neighbours=1,
+        neighbours=neighbours,
     )
 
 

@@ -17,20 +17,23 @@ from causticmpi.kernels.jit import inline, kernel
 from causticmpi.kernels.material_kinds import MIRROR
 from causticmpi.kernels.particle_emission import emit_aimed
 from causticmpi.kernels.traced_scene import TracedScene
+from causticmpi.kernels.wavefront import CURVATURE, ENTRIES, arrive, leave, wavefronts
 
 
 class CausticPoints(NamedTuple):
     """position (n, 3), normal (n, 3) on the lit side, direction (n, 3) back to the specular surface, power (n, 3): the
-    flux of the whole lights, not yet divided by the number of particles emitted. float32."""
+    flux of the whole lights, not yet divided by the number of particles emitted; curvature (n, 6): of its wavefront
+    there, ∂(-direction)/∂position [1 / scene units], see `wavefront`. float32."""
 
     position: Any
     normal: Any
     direction: Any
     power: Any
+    curvature: Any
 
 
 class _Found(NamedTuple):
-    """Caustic points of one group in the order found: point (n, 12) float32, the next point of the same particle, -1
+    """Caustic points of one group in the order found: point (n, 18) float32, the next point of the same particle, -1
     for none (n,) int32; the first and last of each particle (GROUP,) int32, for those whose bit is set in some
     (GROUP / 64,) uint64."""
 
@@ -43,7 +46,7 @@ class _Found(NamedTuple):
 
 def _room(points: int) -> _Found:
     return _Found(
-        point=np.zeros((points, 12), np.float32),
+        point=np.zeros((points, 18), np.float32),
         next=np.zeros(points, np.int32),
         first=np.zeros(waves.GROUP, np.int32),
         last=np.zeros(waves.GROUP, np.int32),
@@ -69,6 +72,8 @@ def _note(scene, work, found, count):
             found.point[count, 3 + c] = work[at.NORMAL + 16 * c + i]
             found.point[count, 6 + c] = -work[at.DIRECTION + 16 * c + i]
             found.point[count, 9 + c] = work[at.THROUGHPUT + 16 * c + i]
+        for k in range(ENTRIES):
+            found.point[count, 12 + k] = work[CURVATURE + 16 * k + i]
         particle = words[at.PIXEL + i]
         word, bit = particle >> 6, np.uint64(1) << np.uint64(particle & 63)
         found.next[count] = -1
@@ -97,6 +102,8 @@ def _store(found, points, stored):
                     points.normal[stored, c] = found.point[k, 3 + c]
                     points.direction[stored, c] = found.point[k, 6 + c]
                     points.power[stored, c] = found.point[k, 9 + c]
+                for c in range(ENTRIES):
+                    points.curvature[stored, c] = found.point[k, 12 + c]
                 stored += 1
                 k = found.next[k]
             if stored == points.power.shape[0]:
@@ -105,11 +112,12 @@ def _store(found, points, stored):
 
 
 @kernel
-def _shoot(scene, work, queues, seed, first, last, aim, points, stored, found):
+def _shoot(scene, work, queues, fronts, seed, first, last, aim, points, stored, found):
     """Particles first … last-1, emitted by `aim`; stops when `points` is full.
 
-    work, queues: `particle_waves.particle_work`. Returns (stored, next particle, rays traced, points of the last
-    group): if that is more than `found` has room for, nothing of the group was stored, and it is the next.
+    work, queues: `particle_waves.particle_work`; fronts: `wavefront.wavefronts`. Returns (stored, next particle, rays
+    traced, points of the last group): if that is more than `found` has room for, nothing of the group was stored, and
+    it is the next.
     """
     traced, count = 0, 0
     while first < last and stored < points.power.shape[0]:
@@ -119,7 +127,7 @@ def _shoot(scene, work, queues, seed, first, last, aim, points, stored, found):
         for number in range(0, end - first, LANES):
             emit_aimed(scene, work, aim, seed, rng.PHOTON, 0, first + number, end, number)
             waiting = waves.wait(work, queues[0], waiting)
-        count, rays = waves.walk(scene, work, queues, waiting, _note, found, 0)
+        count, rays = waves.walk(scene, work, queues, waiting, arrive, leave, fronts, _note, found, 0)
         traced += rays
         if count > found.next.shape[0]:
             return stored, first, traced, count
@@ -142,15 +150,18 @@ def shoot_photons(
     aim (7,) float32: see kernels.aim; whatever it is, the points' power over the particles emitted is unbiased.
     Returns the points found, the particles emitted and the rays traced.
     """
-    points = CausticPoints(*(np.zeros((count, 3), np.float32) for _ in range(4)))
+    points = CausticPoints(*(np.zeros((count, columns), np.float32) for columns in (3, 3, 3, 3, ENTRIES)))
     work, queues = waves.particle_work()
+    fronts = wavefronts()
     found = _room(4 * waves.GROUP)
     stored = emitted = traced = 0
     limit = MOST_PARTICLES_PER_PHOTON * count
     while stored < count and emitted < limit:
         batch = min(limit - emitted, 1 << 20)
         last = emitted + batch
-        stored, emitted, rays, lately = _shoot(scene, work, queues, seed, emitted, last, aim, points, stored, found)
+        stored, emitted, rays, lately = _shoot(
+            scene, work, queues, fronts, seed, emitted, last, aim, points, stored, found
+        )
         traced += rays
         if lately > len(found.next):
             found = _room(2 * lately)

@@ -11,7 +11,7 @@ import numpy as np
 
 from causticmpi.config.records import RenderConfig
 from causticmpi.kernels.material_kinds import MIRROR, PHONG
-from causticmpi.preprocess.directions import NARROWEST
+from causticmpi.preprocess.parallax import NARROWEST
 from causticmpi.render.methods import BIASED, BY_CHANCE, FORECASTING
 from causticmpi.scene.content import extent, has_specular
 from causticmpi.scene.data import SceneData

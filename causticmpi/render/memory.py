@@ -8,7 +8,8 @@ from pathlib import Path
 
 from causticmpi.config.records import RenderConfig
 from causticmpi.errors import InputError
-from causticmpi.preprocess.anchors import SHORTEST
+from causticmpi.preprocess.anchors import SHORTEST, padded
+from causticmpi.preprocess.parallax import ROWS
 from causticmpi.render.film import CHANNELS, LIGHT_CHANNELS
 from causticmpi.render.methods import FORECASTING, traces_light
 from causticmpi.scene.content import has_specular
@@ -16,9 +17,10 @@ from causticmpi.scene.data import SceneData
 
 MB = 2.0**20
 PHOTON_BYTES = 3 * 40
-"""Per photon and node: forecast maps, with overlaps of the clusters; a photon map takes less."""
-NEIGHBOUR_BYTES = 3 * 16 / SHORTEST
-"""The same for each neighbour that its anchor knows."""
+"""Per photon and node: forecast maps of tables, with overlaps of the clusters; trees and cells of mixture sampling, or
+a photon map, take no more."""
+ANCHOR_WORDS = ROWS / SHORTEST
+"""Float32 per photon and neighbour that its anchor knows."""
 TRIANGLE_BYTES = 150
 """Of Embree's tree, which each rank has."""
 PROCESS_MB = 150
@@ -54,7 +56,8 @@ def memory_needed(config: RenderConfig, scene: SceneData) -> Memory:
     films = 2 if config.budget.until is None else 8  # merged and pending sums; with `until` those of its halves
     node = pixels * films * 8 * channels / MB  # float64
     node += sum(getattr(scene, name).nbytes for name in scene.ARRAYS) / MB
-    photon = PHOTON_BYTES + config.forecast.neighbours * NEIGHBOUR_BYTES
+    mixture = config.method in FORECASTING and config.forecast.sampling == "mixture"
+    photon = PHOTON_BYTES + (4 * ANCHOR_WORDS * padded(config.forecast.neighbours) if mixture else 0)
     node += wanted_photons(config, scene) * photon / MB
     return Memory(rank, node)
 

@@ -125,16 +125,14 @@ def set_up(scene_file: Path, config: RenderConfig, lie: str = "none") -> Bench:
     began = time.process_time()
     film = config.film
     camera = camera_array(data.camera, film.width, film.height)
-    if lie == "none":
-        method, made = prepare_method(world, config, scene, camera, Stopwatch(from_now=True))
-        maps, extent = made.maps, made.extent
-    else:
-        extent = scene.extent
+    method, made = prepare_method(world, config, scene, camera, Stopwatch(from_now=True))
+    maps = made.maps
+    if lie != "none":
         maps = share_maps(world, _lying_maps(config, data, lie))
-        method = make_method(config, scene.traced, camera, maps, extent)
+        method = make_method(config, scene.traced, camera, maps, made.extent)
     preprocess = time.process_time() - began
     pixels = pixel_order(film.window, film.width)
-    return Bench(scene, config, method, maps, extent, preprocess, pixels)
+    return Bench(scene, config, method, maps, made.extent, preprocess, pixels)
 
 
 _COMPILED: set[tuple[str, str, bool]] = set()
@@ -155,7 +153,9 @@ def _lying_maps(config: RenderConfig, data: SceneData, lie: str) -> ForecastMaps
     shot_in.embree.close()
     f = config.forecast
     points = LIES[lie](points, np.random.default_rng(7))
-    return build_forecast(points, config.seed, f.clusters, f.neighbours, f.table, f.max_rank, f.splitting)[0]
+    settings = (f.clusters, f.neighbours, f.table, f.max_rank, f.splitting)
+    mixture = f.sampling == "mixture"
+    return build_forecast(points, config.seed, *settings, tables=not mixture, mixture=mixture)[0]
 
 
 def _lights_moved(data: SceneData) -> SceneData:
