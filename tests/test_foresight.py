@@ -53,7 +53,7 @@ def test_none_on_the_scenes_that_come_along(file: Path, setting: str) -> None:
     [
         (0.005, {"method": "pt"}, "by chance, once in"),
         (0.02, {"method": "iws+cf", "forecast": {"sampling": "two"}}, "a bin of forecast.table 32 x 16 is"),
-        (0.005, {"method": "iws+cf", "forecast": {"sampling": "mixture"}}, "nearly a point"),
+        (0.001, {"method": "iws+cf", "forecast": {"sampling": "mixture"}}, "nearly a point"),
         (0.5, {"method": "iws+cf", "forecast": {"photons": 0}}, "forecast.photons is 0"),
         (0.5, {"method": "iws+cf", "forecast": {"photons": 100, "clusters": 64}}, "100 photons for 64 clusters"),
     ],

@@ -133,8 +133,8 @@ MIXTURE_ERRORS = {
         ("if (words[COUNT + i] > j) & (cosine", "if (j > 0) & (words[COUNT + i] > j) & (cosine"),
         ("density = share * lane[BRDF + i] + lane", "density = lane"),
     ],
-    "no fine density": [  # cones are sampled but the other samplers' weights know nothing of it
-        ("density += np.float32(steered) * inside", "density += ZERO * inside"),
+    "thin cones": [  # cones are sampled more often than the weights know; with none at all paths would never end
+        ("density += np.float32(steered) * inside", "density += np.float32(0.7) * np.float32(steered) * inside"),
     ],
 }
 
