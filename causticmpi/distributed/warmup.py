@@ -41,7 +41,7 @@ from causticmpi.preprocess import guides as guides_room
 from causticmpi.preprocess.forecast import ForecastMaps, build_forecast
 from causticmpi.preprocess.guides import learn_guides
 from causticmpi.preprocess.photon_map import PhotonMap, build_photon_map, no_photon_map
-from causticmpi.preprocess.photons import CausticPoints, shoot_photons
+from causticmpi.preprocess.photons import CausticPoints, no_points, shoot_photons
 from causticmpi.render import features, film, precision
 from causticmpi.render.film import Film
 from causticmpi.render.methods import BY_CHANCE, make_method, traces_light
@@ -139,7 +139,7 @@ def warm_up(config: RenderConfig, root: bool, forecasting: bool) -> bool:
         lamp_sight.lamp_sight(scene.data, camera, 4, 4, 1)
     if root and (forecasting or mapping):
         shoot_photons(scene.traced, 0, 1)
-        points = CausticPoints(*(np.ones((4, columns), np.float32) for columns in (3, 3, 3, 3, 6)))
+        points = CausticPoints(*(array + 1 for array in no_points(4)))
         if mapping:
             build_photon_map(points, 1, 2)
         else:

@@ -1,7 +1,7 @@
 """Caustic directions from a mixture under the balance heuristic: samplers, each beside its pdf (solid angle).
 
   fine    cones around the directions of the photons of the nearest anchor, turned to what they are at the vertex;
-  cell    the same of a few photons of the cell of a grid: O(1), at vertices too many or too deep to gather at;
+  cell    the same of a few photons of the cell of a grid, beyond the reach of anchors;
   coarse  the aggregated directions of the whole cluster, a table made in the preprocess: O(1), and silent nowhere;
   brdf    `bsdf.sample`, which reaches every direction: with a share of it the estimate is unbiased whatever the
           photons are.
@@ -24,7 +24,7 @@ from causticmpi.preprocess.anchors import anchor_of
 from causticmpi.preprocess.cells import KEPT
 from causticmpi.preprocess.directions import COLUMNS, ROWS
 from causticmpi.preprocess.forecast import ForecastMaps
-from causticmpi.preprocess.parallax import HEIGHT, POWER, turned
+from causticmpi.preprocess.parallax import HEIGHT, POWER, turned_photon
 
 LANE_ROWS = 32
 """Of `MixtureWork.lane`, told in `mixture_rays`."""
@@ -81,9 +81,7 @@ def _turn(photons, count, step, work, lane):
     """Cones of a vertex: photons (ROWS, >= count) of a place as seen a step from it."""
     x, y, z, height = work.x[lane], work.y[lane], work.z[lane], work.height[lane]
     for i in range(count):
-        d = (photons[0, i], photons[1, i], photons[2, i])
-        m = (photons[5, i], photons[6, i], photons[7, i], photons[8, i], photons[9, i], photons[10, i])
-        x[i], y[i], z[i] = turned(d, m, step)
+        x[i], y[i], z[i] = turned_photon(photons, i, step)
         height[i] = photons[HEIGHT, i]
 
 

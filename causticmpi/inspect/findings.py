@@ -12,9 +12,8 @@ from causticmpi.distributed.world import SerialWorld
 from causticmpi.estimators.virtual_lights import VirtualLights, empty_virtual_lights, trace_virtual_lights
 from causticmpi.kernels.embree import ray_buffer
 from causticmpi.kernels.emission import natural_emission
-from causticmpi.kernels.wavefront import ENTRIES
 from causticmpi.preprocess.forecast import ClusterStatistics, no_forecast
-from causticmpi.preprocess.photons import CausticPoints
+from causticmpi.preprocess.photons import CausticPoints, no_points
 from causticmpi.preprocess.vector_quantization import assign, features
 from causticmpi.scene.content import has_specular
 from causticmpi.scene.data import SceneData
@@ -54,7 +53,7 @@ def find(config: RenderConfig, data: SceneData, watch: Stopwatch) -> Findings:
         scene = share_scene(SerialWorld(), data, config.watertight)
     passes = -(-SHOWN_PATHS // config.iws.paths)
     lights = _virtual_lights(config, scene, passes)
-    nothing = CausticPoints(*(np.zeros((0, columns), np.float32) for columns in (3, 3, 3, 3, ENTRIES)))
+    nothing = no_points(0)
     if not needs_forecast(config, data):
         silence = "forecast.photons is 0" if has_specular(data) else "no surface of the scene is specular"
         forecasting = Forecasting(no_forecast())

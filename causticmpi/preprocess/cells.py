@@ -1,7 +1,7 @@
-"""Cells: grids over the caustic points whose occupied cells remember a few directions each, found in O(1).
+"""Cells: grids over the caustic points whose occupied cells remember a few photons each, found in O(1).
 
-The middle level of the forecast: finer than a cluster's aggregated directions, cheaper than a gather of neighbours. It
-serves the vertices too many or too deep to gather at.
+The middle level of the forecast: finer than a cluster's aggregated directions, coarser than anchors. It serves the
+vertices that no anchor reaches.
 """
 
 import math

@@ -49,6 +49,21 @@ def turned(direction, curvature, step):
 
 
 @inline
+def turned_photon(photon, i, step):
+    """The direction of photon i of a place, photon (ROWS, >= i + 1), as seen a step from where it is known."""
+    d = (photon[DIRECTION, i], photon[DIRECTION + 1, i], photon[DIRECTION + 2, i])
+    m = (
+        photon[CURVATURE, i],
+        photon[CURVATURE + 1, i],
+        photon[CURVATURE + 2, i],
+        photon[CURVATURE + 3, i],
+        photon[CURVATURE + 4, i],
+        photon[CURVATURE + 5, i],
+    )
+    return turned(d, m, step)
+
+
+@inline
 def _chord(x, y, z, i, j):
     """Half the squared chord between two directions: 1 - cosine."""
     a, b, c = x[i] - x[j], y[i] - y[j], z[i] - z[j]
@@ -99,9 +114,7 @@ def settle(photon, offset, count, companions, work):
     """
     x, y, z, own, chord, height = work[0], work[1], work[2], work[3], work[4], photon[HEIGHT]
     for i in range(count):
-        d = (photon[0, i], photon[1, i], photon[2, i])
-        m = (photon[5, i], photon[6, i], photon[7, i], photon[8, i], photon[9, i], photon[10, i])
-        x[i], y[i], z[i] = turned(d, m, (offset[0, i], offset[1, i], offset[2, i]))
+        x[i], y[i], z[i] = turned_photon(photon, i, (offset[0, i], offset[1, i], offset[2, i]))
         height[i] = _HIGHEST
     if count >= FEWEST:
         companions = min(companions, count - 1)

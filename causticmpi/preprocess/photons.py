@@ -32,6 +32,11 @@ class CausticPoints(NamedTuple):
     curvature: Any
 
 
+def no_points(count: int) -> CausticPoints:
+    """Room for so many caustic points, all zero."""
+    return CausticPoints(*(np.zeros((count, columns), np.float32) for columns in (3, 3, 3, 3, ENTRIES)))
+
+
 class _Found(NamedTuple):
     """Caustic points of one group in the order found: point (n, 18) float32, the next point of the same particle, -1
     for none (n,) int32; the first and last of each particle (GROUP,) int32, for those whose bit is set in some
@@ -150,7 +155,7 @@ def shoot_photons(
     aim (7,) float32: see kernels.aim; whatever it is, the points' power over the particles emitted is unbiased.
     Returns the points found, the particles emitted and the rays traced.
     """
-    points = CausticPoints(*(np.zeros((count, columns), np.float32) for columns in (3, 3, 3, 3, ENTRIES)))
+    points = no_points(count)
     work, queues = waves.particle_work()
     fronts = wavefronts()
     found = _room(4 * waves.GROUP)

@@ -20,6 +20,7 @@ from causticmpi.distributed.world import SerialWorld
 from causticmpi.kernels.pixels import pixel_order
 from causticmpi.preprocess.forecast import ForecastMaps, build_forecast
 from causticmpi.preprocess.photons import shoot_photons
+from causticmpi.preprocess.view import extent_in_view, see_views
 from causticmpi.render.foresight import of_scene
 from causticmpi.render.methods import BIASED, BY_CHANCE, FORECASTING, Method, automatic_bound, make_method, whole_pass
 from causticmpi.render.rounds import PILOT_PASS
@@ -125,14 +126,17 @@ def set_up(scene_file: Path, config: RenderConfig, lie: str = "none") -> Bench:
     began = time.process_time()
     film = config.film
     camera = camera_array(data.camera, film.width, film.height)
-    method, made = prepare_method(world, config, scene, camera, Stopwatch(from_now=True))
-    maps = made.maps
-    if lie != "none":
+    if lie == "none":
+        method, made = prepare_method(world, config, scene, camera, Stopwatch(from_now=True))
+        maps, extent = made.maps, made.extent
+    else:
+        views = see_views(scene.traced, camera, film.width, film.height, config.seed)
+        extent = extent_in_view(views) or scene.extent
         maps = share_maps(world, _lying_maps(config, data, lie))
-        method = make_method(config, scene.traced, camera, maps, made.extent)
+        method = make_method(config, scene.traced, camera, maps, extent)
     preprocess = time.process_time() - began
     pixels = pixel_order(film.window, film.width)
-    return Bench(scene, config, method, maps, made.extent, preprocess, pixels)
+    return Bench(scene, config, method, maps, extent, preprocess, pixels)
 
 
 _COMPILED: set[tuple[str, str, bool]] = set()
