@@ -138,18 +138,15 @@ def _axis(panel: "Axes", page: Page, rows: Sequence[Row], place: dict[str, float
         panel.set_xlim(-0.4, len(place) - 0.6)
     start = None if page.sweep.start is None else place.get(shown(page.sweep.start))
     if start is not None:
-        panel.axvline(start, color="#999999", linestyle=":", linewidth=1.5)
-        _upright(panel, start, f"default ({page.sweep.start})" if page.sweep.start == "auto" else "default")
+        name = "default (auto)" if page.sweep.start == "auto" else "default"
+        panel.axvline(start, color="#999999", linestyle=":", linewidth=1.5, label=name)
     for label in {shown(row.value) for row in rows} - {
         shown(row.value) for row in rows if row.kind is not Kind.REFUSED
     }:
-        _upright(panel, place[label], "refused")
+        at = (place[label], 0.02)
+        panel.annotate("refused", at, xycoords=("data", "axes fraction"), rotation=90, fontsize=8, color=GREY)
     panel.grid(True, which="major", color="#dddddd", linewidth=0.8)
     panel.set_axisbelow(True)
-
-
-def _upright(panel: "Axes", x: float, text: str) -> None:
-    panel.annotate(text, (x, 0.02), xycoords=("data", "axes fraction"), rotation=90, fontsize=8, color=GREY)
 
 
 def _apart(values: list[float]) -> bool:
