@@ -259,7 +259,7 @@ def test_maps_without_photons_and_with_one() -> None:
 def test_maps_serve_the_samplers_asked_for() -> None:
     """What they do not serve is as in maps without a photon, and of the same types: kernels are compiled once."""
     both, none = build()[0]._asdict(), no_forecast((32, 16), 50)._asdict()
-    tables, mixture = (build(tables=not only, mixture=only)[0]._asdict() for only in (False, True))
+    tables, mixture = (build(sampling=only)[0]._asdict() for only in ("two", "mixture"))
     for name, value in both.items():
         gathers = name in ("start", "x", "y", "z", "direction", "power", "axis")
         steers = name.startswith(("tree_", "anchor", "cell"))

@@ -36,8 +36,7 @@ def preprocess_of(points: CausticPoints, settings: Forecast, seed: int) -> dict[
             settings.max_rank,
             settings.splitting,
             clustering=clustering,
-            tables=settings.sampling != "mixture",
-            mixture=settings.sampling == "mixture",
+            sampling=settings.sampling,
         )
 
     return {

@@ -194,8 +194,7 @@ def make_forecast(
         None if settings.radius == "auto" else float(settings.radius),
         None if settings.overlap == "auto" else float(settings.overlap),
         settings.clustering,
-        tables=settings.sampling != "mixture",
-        mixture=settings.sampling == "mixture",
+        settings.sampling,
     )
     for stage, spent in seconds.items():
         watch.add(stage, spent)

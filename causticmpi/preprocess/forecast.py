@@ -145,15 +145,14 @@ def build_forecast(
     radius: float | None = None,
     overlap: float | None = None,
     clustering: str = "vq",
-    tables: bool = True,
-    mixture: bool = True,
+    sampling: str | None = None,
 ) -> tuple[ForecastMaps, ClusterStatistics, dict[str, float]]:
     """Cluster, rank and index at least one caustic point. Also returns the seconds of `clustering` and of `trees`.
 
     radius: of the gather in scene units; None: n neighbours at the average density of the ranked clusters.
     overlap: epsilon around a cluster in scene units; None: the radius, so that a gather near the border of a cluster
-    finds what a tree over all photons would. clustering: a key of CODEBOOKS. tables, mixture: which samplers the maps
-    are to serve.
+    finds what a tree over all photons would. clustering: a key of CODEBOOKS. sampling: value of `forecast.sampling`
+    that the maps are to serve; None: any of them.
     Raises ValueError for photons that are not finite: a density made of them would be none.
     """
     if not all(np.isfinite(array).all() for array in points):
@@ -186,9 +185,9 @@ def build_forecast(
         max_rank=max_rank,
         splitting=splitting,
     )
-    if tables:
+    if sampling != "mixture":
         maps = maps._replace(**_forecast_maps(points, power, codebook, feature, cluster, wanted, overlap))
-    if mixture:
+    if sampling in ("mixture", None):
         grey = points._replace(power=power)
         maps = maps._replace(
             **build_anchors(grey, radius, neighbours), **build_cells(grey, cell_edge(radius, neighbours))

@@ -158,8 +158,7 @@ def _lying_maps(config: RenderConfig, data: SceneData, lie: str) -> ForecastMaps
     f = config.forecast
     points = LIES[lie](points, np.random.default_rng(7))
     settings = (f.clusters, f.neighbours, f.table, f.max_rank, f.splitting)
-    mixture = f.sampling == "mixture"
-    return build_forecast(points, config.seed, *settings, tables=not mixture, mixture=mixture)[0]
+    return build_forecast(points, config.seed, *settings, sampling=f.sampling)[0]
 
 
 def _lights_moved(data: SceneData) -> SceneData:
