@@ -17,6 +17,7 @@ from causticmpi.distributed.clock import Stopwatch
 from causticmpi.distributed.prepare import prepare_method
 from causticmpi.distributed.world import SerialWorld
 from causticmpi.estimators import caustic_mixture as cm
+from causticmpi.estimators.mixture_rays import mixture_work
 from causticmpi.kernels import camera as camera_room
 from causticmpi.kernels import emission, vec
 from causticmpi.kernels.emission import emission_guide, natural_emission
@@ -332,7 +333,7 @@ def test_directions_of_a_cell(degrees: float) -> None:
     maps = no_forecast()._replace(**build_cells(CausticPoints(*points()), 0.5))
     maps.cell_photon[1, HEIGHT] = 1 - np.cos(np.radians(np.linspace(degrees, degrees / 2, KEPT)))
     maps.cell_photon[1, CURVATURE:] = np.random.default_rng(9).normal(size=(6, KEPT))
-    work = cm.mixture_work(maps)
+    work = mixture_work(maps)
     work.cell[LANE] = 1
     run_turn_cell(maps, work, (maps.cell[1] + STEP)[None])
     axes = axes_of(maps, 1)

@@ -17,6 +17,7 @@ from causticmpi.estimators import caustic_mixture as cm
 from causticmpi.estimators import weak_singularities as ws
 from causticmpi.estimators.full_radiance import PassWork, pass_work
 from causticmpi.estimators.iws_mixture import _foresee_tile
+from causticmpi.estimators.mixture_rays import mixture_work
 from causticmpi.kernels import vec
 from causticmpi.kernels.material_kinds import PHONG
 from causticmpi.preprocess.anchors import padded
@@ -110,7 +111,7 @@ def gathered(direction: np.ndarray, power: np.ndarray, degrees: Any) -> tuple[Fo
     counts, anchor = np.full(16, neighbours, np.int32), np.full((16, 3), 7.0, np.float32)
     counts[ANCHOR], anchor[ANCHOR] = count, 0.5
     maps = no_forecast(neighbours=neighbours)._replace(anchor=anchor, anchor_photon=near, anchor_count=counts)
-    work = cm.mixture_work(maps)
+    work = mixture_work(maps)
     for array in (work.x, work.y, work.z, work.height, work.density, work.cdf):
         array[:] = 0.5
     work.anchor[:] = 3
@@ -233,7 +234,7 @@ def test_anchor_without_usable_photons() -> None:
 
 
 def tile(maps: ForecastMaps, p: np.ndarray, n: np.ndarray, used: np.ndarray) -> PassWork:
-    work = pass_work(cm.mixture_work(maps), 1)
+    work = pass_work(mixture_work(maps), 1)
     for i in range(16):
         for c in range(3):
             work.packet[ws.POINT + 16 * c + i], work.packet[ws.NORMAL + 16 * c + i] = p[i, c], n[i, c]

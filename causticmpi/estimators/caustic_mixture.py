@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from causticmpi.kernels import bsdf, vec
-from causticmpi.kernels.embree import LANES, aligned_words
 from causticmpi.kernels.jit import inline
 from causticmpi.kernels.material_kinds import DIFFUSE
 from causticmpi.kernels.vec import HALF, INV_TWO_PI, ONE, TWO, ZERO
@@ -23,11 +22,7 @@ from causticmpi.kernels.warp import pick, turn, turns
 from causticmpi.preprocess.anchors import anchor_of
 from causticmpi.preprocess.cells import KEPT
 from causticmpi.preprocess.directions import COLUMNS, ROWS
-from causticmpi.preprocess.forecast import ForecastMaps
 from causticmpi.preprocess.parallax import HEIGHT, POWER, turned_photon
-
-LANE_ROWS = 32
-"""Of `MixtureWork.lane`, told in `mixture_rays`."""
 
 
 class MixtureWork(NamedTuple):
@@ -53,21 +48,6 @@ class MixtureWork(NamedTuple):
     cdf: Any
     lane: Any
     codeword_distance: Any
-
-
-def mixture_work(maps: ForecastMaps) -> MixtureWork:
-    """Workspace that fits the maps."""
-    photons = max(KEPT, maps.anchor_photon.shape[2])
-    return MixtureWork(
-        cluster=np.zeros(LANES, np.int64),
-        anchor=np.zeros(LANES, np.int64),
-        cell=np.zeros(LANES, np.int64),
-        total=np.zeros(LANES, np.float32),
-        columns=np.zeros(LANES, np.int64),
-        **{name: np.zeros((LANES, photons), np.float32) for name in ("x", "y", "z", "height", "density", "cdf")},
-        lane=aligned_words(LANES * LANE_ROWS),
-        codeword_distance=np.zeros(maps.codebook.shape[1], np.float32),
-    )
 
 
 @inline

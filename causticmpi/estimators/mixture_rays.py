@@ -11,16 +11,18 @@ from causticmpi.estimators import caustic_mixture as cm
 from causticmpi.estimators import full_radiance as fr
 from causticmpi.estimators.vertices import get
 from causticmpi.kernels import bsdf, lanes, rng, vec, warp
-from causticmpi.kernels.embree import LANES
+from causticmpi.kernels.embree import LANES, aligned_words
 from causticmpi.kernels.jit import inline
 from causticmpi.kernels.material_kinds import PHONG
 from causticmpi.kernels.path_layout import get3, put3
 from causticmpi.kernels.vec import ALMOST_ONE, HALF, INFINITY, INV_PI, ONE, TWO, ZERO
+from causticmpi.preprocess.cells import KEPT
+from causticmpi.preprocess.forecast import ForecastMaps
 
 NORMAL, SHADE, KEY, RAY_KEY, CHOICE, COIN, U, V, DIRECTION, WEIGHT, SURVIVE, REACH, AXIS, HEIGHT, BIN, BRDF, STEERED = (
     LANES * row for row in (0, 3, 6, 8, 10, 11, 12, 13, 14, 17, 20, 21, 22, 25, 26, 27, 28)
 )
-COSINE, COUNT, OWN = LANES * 29, LANES * 30, LANES * 31
+COSINE, COUNT, OWN, _END = LANES * 29, LANES * 30, LANES * 31, LANES * 32
 """Rows of a vertex that sends rays, as word offsets of the lanes in `MixtureWork.lane`.
 
 SHADE: throughput x Lambert's BRDF; KEY, RAY_KEY uint64: of the vertex and of its ray; COIN: above 0 where the ray goes
@@ -29,6 +31,21 @@ BIN int32: of the coarse directions; BRDF: density of that sampler; STEERED: tha
 asked; COSINE: of direction and normal; COUNT int32: rays that the vertex sends; OWN: density of the cone that the ray
 is drawn from, 0 for none. The last of them are drawn from cones, the first `others` are not: one by the BRDF and one by
 coarse directions, or one of the two by the toss of a coin."""
+
+
+def mixture_work(maps: ForecastMaps) -> cm.MixtureWork:
+    """Workspace that fits the maps."""
+    photons = max(KEPT, maps.anchor_photon.shape[2])
+    return cm.MixtureWork(
+        cluster=np.zeros(LANES, np.int64),
+        anchor=np.zeros(LANES, np.int64),
+        cell=np.zeros(LANES, np.int64),
+        total=np.zeros(LANES, np.float32),
+        columns=np.zeros(LANES, np.int64),
+        **{name: np.zeros((LANES, photons), np.float32) for name in ("x", "y", "z", "height", "density", "cdf")},
+        lane=aligned_words(_END),
+        codeword_distance=np.zeros(maps.codebook.shape[1], np.float32),
+    )
 
 
 @inline

@@ -12,7 +12,6 @@ import numpy as np
 from causticmpi.config.records import RenderConfig
 from causticmpi.estimators.brute_force import trace_paths_brute
 from causticmpi.estimators.caustic_forecast import forecast_work
-from causticmpi.estimators.caustic_mixture import mixture_work
 from causticmpi.estimators.density_estimate import density_work
 from causticmpi.estimators.full_radiance import pass_work
 from causticmpi.estimators.iws_cf import trace_iws_cf
@@ -20,6 +19,7 @@ from causticmpi.estimators.iws_mixture import trace_iws_mixture
 from causticmpi.estimators.iws_pm import trace_iws_pm
 from causticmpi.estimators.lamps_in_sight import see_lamps, sight_work
 from causticmpi.estimators.light_tracing import trace_light_paths
+from causticmpi.estimators.mixture_rays import mixture_work
 from causticmpi.estimators.path_tracing import trace_paths
 from causticmpi.estimators.virtual_lights import empty_virtual_lights, trace_virtual_lights
 from causticmpi.kernels.embree import ray_buffer
