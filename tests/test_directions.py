@@ -1,5 +1,7 @@
 """Directions of whole clusters: tables add up, and the sampler follows them."""
 
+from typing import NamedTuple
+
 import naive
 import numba
 import numpy as np
@@ -7,7 +9,10 @@ import pytest
 from chi_square import SAMPLES, SphereCells, p_value, sidak
 
 from causticmpi.estimators import caustic_mixture as cm
+from causticmpi.estimators import mixture_rays as rays
 from causticmpi.kernels import vec
+from causticmpi.kernels.embree import LANES
+from causticmpi.kernels.path_layout import get3
 from causticmpi.preprocess.directions import COLUMNS, ROWS, coarse_tables
 from causticmpi.preprocess.forecast import ForecastMaps, no_forecast
 
@@ -19,16 +24,36 @@ STRAY = 1e-5
 """Share of samples that the rounding of float32 may push over the border of their bin."""
 
 
-@numba.njit
-def run_sample_coarse(maps, cluster, u, out):
-    for i in range(u.shape[0]):
-        out[i, 0], out[i, 1], out[i, 2] = cm.sample_coarse(maps, cluster, u[i, 0], u[i, 1], u[i, 2])
+class Work(NamedTuple):
+    """What the sampler asks of a workspace."""
+
+    forecast: cm.MixtureWork
 
 
 @numba.njit
-def run_coarse_pdf(maps, cluster, direction, out):
+def run_by_cluster(maps, work, u, out):
+    lane = work.forecast.lane
+    for first in range(0, u.shape[0], LANES):
+        for i in range(LANES):
+            lane.view(np.int32)[rays.COUNT + i] = 1
+            lane[rays.CHOICE + i], lane[rays.U + i], lane[rays.V + i] = u[first + i]
+        rays.by_cluster(maps, work)
+        for i in range(LANES):
+            out[first + i, 0], out[first + i, 1], out[first + i, 2] = get3(lane, rays.DIRECTION, i)
+
+
+@numba.njit
+def run_coarse_density(maps, cluster, direction, out):
     for i in range(direction.shape[0]):
-        out[i] = cm.coarse_pdf(maps, cluster, vec.row(direction, i))
+        out[i] = cm.coarse_density(maps, cluster, np.int64(cm.coarse_bin(vec.row(direction, i))))
+
+
+def sample(maps: ForecastMaps, cluster: int, u: np.ndarray) -> np.ndarray:
+    """Directions (n, 3) of a cluster by random numbers (n, 3); n: a multiple of 16."""
+    forecast, out = rays.mixture_work(maps), np.empty(u.shape, np.float32)
+    forecast.cluster[:] = cluster
+    run_by_cluster(maps, Work(forecast), u, out)
+    return out
 
 
 def one_cluster(count: int) -> tuple[ForecastMaps, np.ndarray]:
@@ -61,24 +86,22 @@ def test_rounding_leaves_no_gap_behind_the_last_bin() -> None:
     power = generator.exponential(size=len(direction)) ** 8
     table = coarse_tables(direction, power, np.arange(len(direction)) % clusters, clusters)
     maps = no_forecast()._replace(coarse=table)
-    u = np.array([[np.nextafter(np.float32(1), np.float32(0)), 0.5, 0.5]], np.float32)
-    sampled, density = np.empty((1, 3), np.float32), np.empty(1, np.float32)
+    u = np.array(LANES * [[np.nextafter(np.float32(1), np.float32(0)), 0.5, 0.5]], np.float32)
+    density = np.empty(LANES, np.float32)
     for cluster in range(clusters):
-        run_sample_coarse(maps, cluster, u, sampled)
-        run_coarse_pdf(maps, cluster, sampled, density)
-        assert density[0] > 0
+        run_coarse_density(maps, cluster, sample(maps, cluster, u), density)
+        assert (density > 0).all()
 
 
 @pytest.mark.statistical
 @pytest.mark.parametrize(("count", "cluster"), [(1, 0), *((count, 1) for count in COARSE_CASES)])
 def test_coarse_sampler(count: int, cluster: int) -> None:
     maps, _ = one_cluster(count)
-    sampled = np.empty((SAMPLES, 3), np.float32)
-    run_sample_coarse(maps, cluster, np.random.default_rng(7).random((SAMPLES, 3), np.float32), sampled)
+    sampled = sample(maps, cluster, np.random.default_rng(7).random((SAMPLES, 3), np.float32))
     cells = SphereCells(np.array([0, 0, 1]), np.linspace(-1, 1, 2 * ROWS + 1), 2 * COLUMNS)
     centres, _ = cells.quadrature(1)
     density = np.empty(len(centres), np.float32)
-    run_coarse_pdf(maps, cluster, centres.astype(np.float32), density)
+    run_coarse_density(maps, cluster, centres.astype(np.float32), density)
     expected = cells.integrate(density, 1)
     assert expected.sum() == pytest.approx(1, abs=1e-5)
     counts = cells.counts(sampled)

@@ -155,7 +155,7 @@ def coarse_bin(direction):
 
 @inline
 def in_coarse_bin(chosen, u, v):
-    """Uniform direction of a bin (int32)."""
+    """Uniform direction of a bin (int32), `pick`ed from the cluster's. It may lie below the horizon."""
     row = chosen // np.int32(COLUMNS)
     z = (np.float32(row) + u) * (TWO / np.float32(ROWS)) - ONE
     c, s = turn((np.float32(chosen - row * np.int32(COLUMNS)) + v) * np.float32(1 / COLUMNS))
@@ -164,19 +164,7 @@ def in_coarse_bin(chosen, u, v):
 
 
 @inline
-def sample_coarse(maps, cluster, choice, u, v):
-    """Direction from all caustic points of a cluster, uniform within its bin. It may lie below the horizon."""
-    return in_coarse_bin(np.int32(pick(maps.coarse[cluster], choice)), u, v)
-
-
-@inline
-def coarse_pdf(maps, cluster, direction):
-    """Density of `sample_coarse`."""
-    return coarse_density(maps, cluster, np.int64(coarse_bin(direction)))
-
-
-@inline
 def coarse_density(maps, cluster, i):
-    """Density of `sample_coarse` in bin i."""
+    """Density of the directions of a cluster in bin i."""
     before = maps.coarse[cluster, i - 1] if i > 0 else ZERO
     return (maps.coarse[cluster, i] - before) * (np.float32(COLUMNS * ROWS) * HALF * INV_TWO_PI)
