@@ -2,6 +2,7 @@
 
 import math
 import re
+from operator import attrgetter
 from pathlib import Path
 
 import msgspec
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from stability_tools import PAGES, page
 
+from causticmpi.config.records import RenderConfig
 from causticmpi.errors import InputError
 from causticmpi.scene.load import load_scene
 from causticmpi.stability import sweep
@@ -85,6 +87,16 @@ def test_a_long_cell_does_not_start_last(tmp_path: Path) -> None:
     assert costs["coverage"] == [math.inf] * 3
     assert costs["table"] == [pytest.approx(1.5)] * 5 + [pytest.approx(1.5 * 8)]
     assert costs["variants"] == [pytest.approx(0.5 * pages["variants"].page.seconds * (8 + 2 * 2))] * 2
+
+
+def test_what_a_page_calls_the_default_is_the_default() -> None:
+    sweeps = [loaded.page.sweep for loaded in read_pages(PAGES)]
+    marked = [s for s in sweeps if s is not None and s.start is not None and s.parameter != "photons"]
+    assert len(marked) >= 9
+    for s in marked:
+        default = attrgetter(s.parameter)(RenderConfig(scene=""))
+        assert s.start == (list(default) if isinstance(default, tuple) else default), s.parameter
+        assert s.start in s.values
 
 
 def test_pages_of_one_scene_share_their_rivals(tmp_path: Path) -> None:
