@@ -98,13 +98,14 @@ class Forecast(Record):
     sampling: `mixture` (cones, cluster directions and BRDF, balance heuristic), `two` (the paper's two tables), `one`
     (one table, empty bins filled alike), `one-cosine` (by cosine and BRDF), `one-smooth` (table spread by a Gaussian)
     or `mis` (table and BRDF, balance heuristic); clustering: vector quantization or k-means; photons: caustic points to
-    collect; clusters: codewords of the clustering; neighbours: n of the gather; table: bins in azimuth and cosine;
-    max_rank: clusters of a higher rank are not gathered from; splitting: samples of each table, or of cones, at rank 0
-    and diffuse depth 0; light_tracing: with `mixture`, light paths draw the caustics that the eye sees directly; pilot:
-    with `mixture`, a few passes of a small picture decide how much light tracing there is, and whether the forecast
-    pays at all (render.pilot); radius: of the gather, in scene units, `auto` derives it from the average photon
-    density; overlap: the epsilon around a cluster in scene units, `auto` derives it likewise; aim: box towards which
-    most photons are shot, `auto` around all specular surfaces, `off` for none.
+    collect; clusters: codewords of the clustering; neighbours: n of the gather; table: bins in azimuth and cosine, not
+    for `mixture`; max_rank: clusters of a higher rank are not gathered from; splitting: samples of each table, or of
+    cones, at rank 0 and diffuse depth 0; light_tracing: with `mixture`, light paths draw the caustics that the eye sees
+    directly; pilot: with `mixture`, a few passes of a small picture decide how much light tracing there is, how often
+    lamps are looked for, and whether the forecast pays at all (render.pilot); radius: of the gather, in scene units,
+    `auto` derives it from the average photon density; overlap: the epsilon around a cluster in scene units, `auto`
+    derives it likewise, not for `mixture`; aim: box towards which most photons are shot, `auto` around all specular
+    surfaces, `off` for none.
     """
 
     sampling: Literal["mixture", "two", "one", "one-cosine", "one-smooth", "mis"] = "mixture"
