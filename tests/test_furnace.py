@@ -17,6 +17,7 @@ from causticmpi.distributed.clock import Stopwatch
 from causticmpi.distributed.prepare import prepare_forecast
 from causticmpi.distributed.world import SerialWorld
 from causticmpi.preprocess.forecast import ForecastMaps
+from causticmpi.preprocess.packed_photons import packed_photons, unpacked_photons
 from causticmpi.preprocess.parallax import CURVATURE, DIRECTION, HEIGHT, NARROWEST, POWER, WIDEST
 from causticmpi.scene.data import SceneData
 
@@ -124,6 +125,8 @@ def poisoned(scene: SceneData, config: RenderConfig, how: str) -> ForecastMaps:
     prepared.embree.close()
     random = np.random.default_rng(7)
     arrays = {name: array.copy() for name, array in maps._asdict().items() if isinstance(array, np.ndarray)}
+    for name in ("anchor_photon", "cell_photon"):
+        arrays[name] = unpacked_photons(arrays[name])
     steering = arrays["anchor_photon"], arrays["cell_photon"]
     assert len(maps.x) > 1000 or min(len(maps.anchor), len(maps.cell)) > 50
     if how == "random directions":
@@ -140,7 +143,8 @@ def poisoned(scene: SceneData, config: RenderConfig, how: str) -> ForecastMaps:
         for axis in "xyz":
             random.shuffle(arrays[axis])
         other = random.permutation(len(maps.anchor))
-        arrays["anchor_photon"][:], arrays["anchor_count"][:] = maps.anchor_photon[other], maps.anchor_count[other]
+        for name in ("anchor_photon", "anchor_count"):
+            arrays[name][:] = arrays[name][other]
         random.shuffle(arrays["cell_photon"])
     elif how == "random powers":
         arrays["power"][:] = np.exp(random.normal(0, 1, len(maps.x)))
@@ -169,6 +173,8 @@ def poisoned(scene: SceneData, config: RenderConfig, how: str) -> ForecastMaps:
         assert how == "no power"
         arrays["power"][:] = 0
         arrays["anchor_photon"][:, POWER] = 0
+    for name in ("anchor_photon", "cell_photon"):
+        arrays[name] = packed_photons(arrays[name])
     for name, array in arrays.items():  # else the kernels would be compiled for another type
         array.setflags(write=getattr(maps, name).flags.writeable)
     return maps._replace(**arrays)

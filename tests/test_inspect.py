@@ -23,6 +23,7 @@ from causticmpi.inspect.scenery import Discs, Scenery
 from causticmpi.inspect.sight import Sight
 from causticmpi.kernels.embree import ray_buffer
 from causticmpi.kernels.emission import natural_emission
+from causticmpi.preprocess.packed_photons import unpacked_photons
 from causticmpi.preprocess.parallax import HEIGHT
 from causticmpi.preprocess.photons import shoot_photons
 from causticmpi.scene.data import SceneData
@@ -94,7 +95,8 @@ def test_the_numbers_are_the_librarys(out: Path, found: Findings) -> None:
     assert clusters["used"] + clusters["culled"] == 24 and clusters["used"] == (maps.rank <= 2).sum() < 24
     assert clusters["forecast_points"] == len(maps.x) and clusters["search_radius"] == maps.radius
     assert clusters["anchors"] == (maps.anchor_count > 0).sum() > 0
-    heights = [height for anchor in maps.anchor_photon for height in anchor[HEIGHT].tolist() if height > 0]
+    photons = unpacked_photons(maps.anchor_photon)
+    heights = [height for anchor in photons for height in anchor[HEIGHT].tolist() if height > 0]
     assert len(heights) == maps.anchor_count.sum()
     told_cones = [clusters["cone_half_angle"][key] for key in ("least", "median", "greatest")]
     wanted = np.degrees(2 * np.arcsin(np.sqrt(np.array([min(heights), np.median(heights), max(heights)]) / 2)))

@@ -22,6 +22,7 @@ from causticmpi.kernels import vec
 from causticmpi.kernels.material_kinds import PHONG
 from causticmpi.preprocess.anchors import padded
 from causticmpi.preprocess.forecast import ForecastMaps, no_forecast
+from causticmpi.preprocess.packed_photons import packed_photons, unpacked_photons
 from causticmpi.preprocess.parallax import CURVATURE, HEIGHT, NARROWEST, POWER, ROWS
 
 NORMAL = naive.unit([-0.4, 0.2, 0.6]).astype(np.float32)
@@ -91,12 +92,17 @@ def photons(count: int, below: int, spread: float) -> tuple[np.ndarray, np.ndarr
     generator = np.random.default_rng(count)
     direction = naive.unit(naive.unit(NORMAL + 0.5 * OUT) + spread * generator.normal(size=(count, 3)))
     sign = np.sign(direction @ NORMAL.astype(float)) * np.where(np.arange(count) < below, -1, 1)
-    return (direction * sign[:, None]).astype(np.float32), generator.exponential(size=count).astype(np.float32) ** 2
+    return (direction * sign[:, None]).astype(np.float32), short(generator.exponential(size=count) ** 2)
+
+
+def short(x: np.ndarray) -> np.ndarray:
+    """Numbers that are packed as they are."""
+    return (np.float32(x).view(np.int32) & -0x10000).view(np.float32)
 
 
 def height(degrees: Any) -> np.ndarray:
     """Of a cone, by its half angle."""
-    return 2 * np.sin(np.radians(degrees) / 2) ** 2
+    return short(2 * np.sin(np.radians(degrees) / 2) ** 2)
 
 
 def gathered(direction: np.ndarray, power: np.ndarray, degrees: Any) -> tuple[ForecastMaps, cm.MixtureWork]:
@@ -110,9 +116,11 @@ def gathered(direction: np.ndarray, power: np.ndarray, degrees: Any) -> tuple[Fo
     near[ANCHOR, CURVATURE:, :count] = np.random.default_rng(8).normal(size=(6, count))
     counts, anchor = np.full(16, neighbours, np.int32), np.full((16, 3), 7.0, np.float32)
     counts[ANCHOR], anchor[ANCHOR] = count, 0.5
-    maps = no_forecast(neighbours=neighbours)._replace(anchor=anchor, anchor_photon=near, anchor_count=counts)
+    maps = no_forecast(neighbours=neighbours)._replace(
+        anchor=anchor, anchor_photon=packed_photons(near), anchor_count=counts
+    )
     work = mixture_work(maps)
-    for array in (work.x, work.y, work.z, work.height, work.density, work.cdf):
+    for array in (work.cone, work.cdf):
         array[:] = 0.5
     work.anchor[:] = 3
     work.anchor[LANE] = ANCHOR
@@ -121,7 +129,7 @@ def gathered(direction: np.ndarray, power: np.ndarray, degrees: Any) -> tuple[Fo
 
 def weigh(maps: ForecastMaps, work: cm.MixtureWork, material: int, columns: int = 64) -> float:
     """At the vertex a STEP from the anchor."""
-    place = (maps.anchor[ANCHOR] + STEP)[None]
+    place, columns = (maps.anchor[ANCHOR] + STEP)[None], min(columns, maps.anchor_photon.shape[1] // ROWS)
     total = run_weigh(materials(), maps, work, place, NORMAL[None], OUT[None], material, columns)
     assert total == work.total[LANE]
     return total
@@ -129,8 +137,14 @@ def weigh(maps: ForecastMaps, work: cm.MixtureWork, material: int, columns: int 
 
 def seen(maps: ForecastMaps, count: int) -> np.ndarray:
     """Directions of the anchor's photons at the vertex."""
-    photon = maps.anchor_photon[ANCHOR, :, :count].T
+    photon = unpacked_photons(maps.anchor_photon)[ANCHOR, :, :count].T
     return naive_turned(photon[:, :3].astype(np.float64), photon[:, CURVATURE:], np.tile(STEP, (count, 1)))
+
+
+def cone_axes(work: cm.MixtureWork, count: int) -> np.ndarray:
+    """Axes (count, 3) of the cones at the vertex."""
+    rows = work.cone[LANE].reshape(-1, cm.CONES // 16, 16)[:, :3]
+    return rows.transpose(0, 2, 1).reshape(-1, 3)[:count]
 
 
 def naive_weights(material: int, direction: np.ndarray, power: np.ndarray) -> np.ndarray:
@@ -150,7 +164,7 @@ def test_fine_weights(material: int) -> None:
     total = weigh(maps, work, material)
     axes = seen(maps, len(power))
     assert np.median(np.linalg.norm(axes - direction, axis=1)) > 0.1
-    np.testing.assert_allclose(np.stack([work.x, work.y, work.z])[:, LANE, : len(power)].T, axes, atol=1e-6)
+    np.testing.assert_allclose(cone_axes(work, len(power)), axes, atol=1e-6)
     expected = naive_weights(material, axes, power)
     assert 5 < (expected == 0).sum() < 30
     cdf = work.cdf[LANE, : len(power)]
@@ -200,7 +214,8 @@ def test_narrow_cones(degrees: float) -> None:
     shares, lost = [], 0.0
     for axis in naive.unit(generator.normal(size=(AXES, 3))).astype(np.float32):
         maps, work = gathered(axis[None], np.ones(1, np.float32), degrees)
-        maps.anchor_photon[ANCHOR, :3, 0] *= np.sign(seen(maps, 1)[0] @ NORMAL)
+        sign = np.sign(seen(maps, 1)[0] @ NORMAL)
+        maps, work = gathered(sign * axis[None], np.ones(1, np.float32), degrees)
         assert weigh(maps, work, DIFFUSE) > 0
         sampled, density = np.empty((SAMPLES // AXES, 3), np.float32), np.empty(SAMPLES // AXES, np.float32)
         own = np.empty_like(density)
@@ -208,8 +223,7 @@ def test_narrow_cones(degrees: float) -> None:
         run_fine_pdf(maps, work, sampled, density)
         np.testing.assert_allclose(own, 1 / (2 * np.pi * height(degrees)), rtol=1e-5)
         assert np.array_equal(density[density > 0], own[density > 0])
-        turned = np.array([work.x[LANE, 0], work.y[LANE, 0], work.z[LANE, 0]])
-        chord = naive.unit(sampled) - naive.unit(turned)
+        chord = naive.unit(sampled) - naive.unit(cone_axes(work, 1)[0])
         shares.append((chord**2).sum(axis=1) / (2 * height(degrees)))
         lost += (density == 0).mean() / AXES
     p = uniform_p_value(np.clip(np.concatenate(shares), 0, 1 - 1e-9), 32)
@@ -226,7 +240,9 @@ def test_anchor_without_usable_photons() -> None:
         gathered(direction, power, 5),
         gathered(-direction, 0 * power, 5),
     ):
-        maps.anchor_photon[ANCHOR, CURVATURE:] = 0
+        photon = unpacked_photons(maps.anchor_photon)
+        photon[ANCHOR, CURVATURE:] = 0
+        maps = maps._replace(anchor_photon=packed_photons(photon))
         total = weigh(maps, work, SOFT)
         density = np.full(20, np.nan, np.float32)
         run_fine_pdf(maps, work, direction, density)

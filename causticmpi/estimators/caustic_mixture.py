@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from causticmpi.kernels import bsdf, vec
+from causticmpi.kernels.embree import LANES
 from causticmpi.kernels.jit import inline
 from causticmpi.kernels.material_kinds import DIFFUSE
 from causticmpi.kernels.vec import HALF, INV_TWO_PI, ONE, TWO, ZERO
@@ -22,17 +23,22 @@ from causticmpi.kernels.warp import pick, turn, turns
 from causticmpi.preprocess.anchors import anchor_of
 from causticmpi.preprocess.cells import KEPT
 from causticmpi.preprocess.directions import COLUMNS, ROWS
-from causticmpi.preprocess.parallax import HEIGHT, POWER, turned_photon
+from causticmpi.preprocess.packed_photons import BLOCK, ask_for, height_of, place_of, power_of, turned_packed
+from causticmpi.preprocess.parallax import ROWS as PHOTON_ROWS
+
+X, Y, Z, HEIGHT, WEIGHT, DENSITY, CONES = (LANES * row for row in range(7))
+"""Rows of 16 cones as word offsets in `MixtureWork.cone`, where blocks of CONES words follow each other as those of
+packed photons do."""
 
 
 class MixtureWork(NamedTuple):
     """Workspace, most of it by lane: a vertex that sends its rays.
 
     cluster, anchor, cell (16,): where it is, anchor and cell -1 where none steers it; total (16,): sum of the weights
-    of its anchor's photons; columns (16,): cones that steer it, a multiple of 16; x, y, z, height, density (16, >= n):
-    of these cones the axis, 1 - cosine of the half angle, and how dense their sampler is inside [1 / sr]; cdf
-    (16, >= n): running sum of the weights of its anchor's photons; lane: rows of `mixture_rays`; codeword_distance
-    (m,): search.
+    of its anchor's photons; columns (16,): cones that steer it, a multiple of 16; cone (16, CONES * blocks): of these
+    cones the axis, 1 - cosine of the half angle, weight, and how dense their sampler is inside, times share (16,)
+    [1 / sr]; cdf (16, >= n): running sum of the weights of its anchor's photons; lane: rows of `mixture_rays`;
+    codeword_distance (m,): search.
     """
 
     cluster: Any
@@ -40,11 +46,8 @@ class MixtureWork(NamedTuple):
     cell: Any
     total: Any
     columns: Any
-    x: Any
-    y: Any
-    z: Any
-    height: Any
-    density: Any
+    share: Any
+    cone: Any
     cdf: Any
     lane: Any
     codeword_distance: Any
@@ -57,12 +60,31 @@ def photons_near(maps, cluster, p, n):
 
 
 @inline
-def _turn(photons, count, step, work, lane):
-    """Cones of a vertex: photons (ROWS, >= count) of a place as seen a step from it."""
-    x, y, z, height = work.x[lane], work.y[lane], work.z[lane], work.height[lane]
-    for i in range(count):
-        x[i], y[i], z[i] = turned_photon(photons, i, step)
-        height[i] = photons[HEIGHT, i]
+def ask_for_photons(maps, anchor, columns):
+    """Have the first `columns` photons of an anchor, -1 for none, brought near, to be weighed later."""
+    if anchor >= 0:
+        ask_for(maps.anchor_photon, anchor, columns)
+
+
+@inline
+def columns_of(maps):
+    """Photons that every anchor has room for, a multiple of 16."""
+    return maps.anchor_photon.shape[1] // PHOTON_ROWS
+
+
+@inline
+def _turn(photons, columns, step, n, cone):
+    """Cones of a vertex with normal n: `columns` packed photons of a place, a multiple of 16, as seen a step from it,
+    weighed by power and cosine."""
+    for block in range(columns // LANES):
+        first, own = BLOCK * block, CONES * block
+        for i in range(LANES):  # all in one: loops as short as its parts are unrolled, and are not vector code then
+            x, y, z = turned_packed(photons, first + i, step)
+            height = height_of(photons, first + i)
+            weight = max(ZERO, n[0] * x + n[1] * y + n[2] * z) * power_of(photons, first + i)
+            cone[own + X + i], cone[own + Y + i], cone[own + Z + i] = x, y, z
+            cone[own + HEIGHT + i], cone[own + WEIGHT + i] = height, weight
+            cone[own + DENSITY + i] = weight / height if height > ZERO else ZERO
 
 
 @inline
@@ -72,41 +94,42 @@ def _known(maps, work, lane):
 
 
 @inline
+def _axis(cone, at):
+    return cone[at + X], cone[at + Y], cone[at + Z]
+
+
+@inline
 def weigh_anchor(scene, maps, work, lane, at, columns):
     """Turn the first `columns` photons of a lane's anchor, a multiple of 16, to its vertex, weigh them by power, BRDF
     and cosine there. Returns the sum of their weights, `total`, 0 where none counts."""
     work.columns[lane] = columns
     anchor, count = work.anchor[lane], _known(maps, work, lane)
-    photons = maps.anchor_photon[anchor]
-    _turn(photons, columns, vec.sub(at.p, vec.row(maps.anchor, anchor)), work, lane)
-    x, y, z, weight, cdf = work.x[lane], work.y[lane], work.z[lane], work.density[lane], work.cdf[lane]
-    power, height, n = photons[POWER], photons[HEIGHT], at.n
-    for i in range(columns):
-        weight[i] = max(ZERO, n[0] * x[i] + n[1] * y[i] + n[2] * z[i]) * power[i]
+    cone, cdf = work.cone[lane], work.cdf[lane]
+    _turn(maps.anchor_photon[anchor], columns, vec.sub(at.p, vec.row(maps.anchor, anchor)), at.n, cone)
     if scene.kind[at.material] != DIFFUSE:
         for i in range(count):
-            if weight[i] > ZERO:
-                weight[i] *= vec.luminance(bsdf.evaluate(scene, at.material, n, at.wo, (x[i], y[i], z[i])))
+            own = place_of(i, CONES)
+            if cone[own + WEIGHT] > ZERO:
+                f = vec.luminance(bsdf.evaluate(scene, at.material, at.n, at.wo, _axis(cone, own)))
+                cone[own + WEIGHT] *= f
+                cone[own + DENSITY] *= f
     total = ZERO
     for i in range(count):
-        total += weight[i]
+        total += cone[place_of(i, CONES) + WEIGHT]
         cdf[i] = total
     work.total[lane] = total
-    share = INV_TWO_PI / total if total > ZERO else ZERO
-    for i in range(columns):
-        weight[i] = weight[i] * share / height[i] if height[i] > ZERO else ZERO
+    work.share[lane] = INV_TWO_PI / total if total > ZERO else ZERO
     return total
 
 
 @inline
 def turn_cell(maps, work, lane, p):
     """Turn the photons of a lane's cell, all alike, to its vertex at p."""
-    cell = work.cell[lane]
-    work.columns[lane] = KEPT
-    _turn(maps.cell_photon[cell], KEPT, vec.sub(p, vec.row(maps.cell, cell)), work, lane)
-    height, density = work.height[lane], work.density[lane]
+    cell, cone = work.cell[lane], work.cone[lane]
+    work.columns[lane], work.share[lane] = KEPT, INV_TWO_PI / np.float32(KEPT)
+    _turn(maps.cell_photon[cell], KEPT, vec.sub(p, vec.row(maps.cell, cell)), (ZERO, ZERO, ZERO), cone)
     for i in range(KEPT):
-        density[i] = INV_TWO_PI / np.float32(KEPT) / height[i]
+        cone[DENSITY + i] = ONE / cone[HEIGHT + i]
 
 
 @inline
@@ -120,29 +143,36 @@ def in_cone(axis, height, u, v):
 
 
 @inline
+def _cone(work, lane, i):
+    """Direction of a cone of a lane, its height and density in it."""
+    cone, at = work.cone[lane], place_of(i, CONES)
+    return _axis(cone, at), cone[at + HEIGHT], cone[at + DENSITY] * work.share[lane]
+
+
+@inline
 def anchor_cone(maps, work, lane, choice):
     """A photon of a lane's anchor chosen by weight, `total` > 0: direction, height of its cone and density in it."""
-    i = pick(work.cdf[lane, : _known(maps, work, lane)], choice * work.total[lane])
-    return (work.x[lane, i], work.y[lane, i], work.z[lane, i]), work.height[lane, i], work.density[lane, i]
+    return _cone(work, lane, pick(work.cdf[lane, : _known(maps, work, lane)], choice * work.total[lane]))
 
 
 @inline
 def cell_cone(work, lane, choice):
     """One of the photons of a lane's cell: direction, height of its cone and density in it."""
-    i = np.int64(choice * np.float32(KEPT))
-    return (work.x[lane, i], work.y[lane, i], work.z[lane, i]), work.height[lane, i], work.density[lane, i]
+    return _cone(work, lane, np.int64(choice * np.float32(KEPT)))
 
 
 @inline
 def cones_pdf(work, lane, direction):
     """Density of a uniform direction in the cone that `anchor_cone` or `cell_cone` chooses."""
-    x, y, z, height, inside = work.x[lane], work.y[lane], work.z[lane], work.height[lane], work.density[lane]
-    density = ZERO
-    for i in range(work.columns[lane]):
-        a, b, c = x[i] - direction[0], y[i] - direction[1], z[i] - direction[2]
-        # By the chord, 2 (1 - cosine): a comparison of cosines would lose samples of narrow cones to rounding.
-        density += inside[i] if a * a + b * b + c * c <= TWO * height[i] else ZERO
-    return density
+    cone, density = work.cone[lane], ZERO
+    for block in range(work.columns[lane] // LANES):
+        own = CONES * block
+        for i in range(LANES):
+            a, b, c = vec.sub(_axis(cone, own + i), direction)
+            # By the chord, 2 (1 - cosine): a comparison of cosines would lose samples of narrow cones to rounding.
+            inside = a * a + b * b + c * c <= TWO * cone[own + HEIGHT + i]
+            density += cone[own + DENSITY + i] if inside else ZERO
+    return density * work.share[lane]
 
 
 @inline

@@ -52,6 +52,7 @@ def _foresee_tile(maps, work):
             if vec.dot(d, d) <= reach2 and vec.dot(n, m) > np.float32(0.9):
                 near.cluster[j] = cluster
                 near.anchor[j] = cm.photons_near(maps, cluster, q, m)
+                cm.ask_for_photons(maps, near.anchor[j], cm.columns_of(maps))
 
 
 @inline
@@ -78,7 +79,7 @@ def _send_first(scene, work, maps):
         if work.lane[i, 3] == ZERO or work.lane[i, 4] > ZERO:
             continue
         at = get(work.now, i)
-        steered = np.int64(_find_photons(scene, maps, near, i, at, maps.anchor_photon.shape[2]))
+        steered = np.int64(_find_photons(scene, maps, near, i, at, cm.columns_of(maps)))
         if near.anchor[i] >= 0:
             steered = splitting(maps, maps.rank[near.cluster[i]], 0)
         glossy |= rays.take_up(scene, work, i, 2 + steered)
@@ -99,13 +100,16 @@ def _send_deep(scene, work, maps, count):
     """The rays of `count` deeper vertices: one goes by BRDF or coarse directions, by the toss of a coin; DEEP_RAYS more
     by photons, if there are any."""
     near = work.forecast
-    columns = min(DEEP_PHOTONS, maps.anchor_photon.shape[2])
+    columns = min(DEEP_PHOTONS, cm.columns_of(maps))
     rays.begin(work)
     glossy = False
     for i in range(count):
         at = get(work.now, i)
         near.cluster[i] = cluster_of(maps, at.p, at.n, near.codeword_distance)
         near.anchor[i] = cm.photons_near(maps, near.cluster[i], at.p, at.n)
+        cm.ask_for_photons(maps, near.anchor[i], columns)
+    for i in range(count):
+        at = get(work.now, i)
         steered = DEEP_RAYS if _find_photons(scene, maps, near, i, at, columns) else 0
         glossy |= rays.take_up(scene, work, i, 1 + steered)
     most = rays.most_rays(work)

@@ -18,6 +18,7 @@ from causticmpi.kernels.path_layout import get3, put3
 from causticmpi.kernels.vec import ALMOST_ONE, HALF, INFINITY, INV_PI, ONE, TWO, ZERO
 from causticmpi.preprocess.cells import KEPT
 from causticmpi.preprocess.forecast import ForecastMaps
+from causticmpi.preprocess.parallax import ROWS
 
 NORMAL, SHADE, KEY, RAY_KEY, CHOICE, COIN, U, V, DIRECTION, WEIGHT, SURVIVE, REACH, AXIS, HEIGHT, BIN, BRDF, STEERED = (
     LANES * row for row in (0, 3, 6, 8, 10, 11, 12, 13, 14, 17, 20, 21, 22, 25, 26, 27, 28)
@@ -35,14 +36,16 @@ coarse directions, or one of the two by the toss of a coin."""
 
 def mixture_work(maps: ForecastMaps) -> cm.MixtureWork:
     """Workspace that fits the maps."""
-    photons = max(KEPT, maps.anchor_photon.shape[2])
+    photons = max(KEPT, maps.anchor_photon.shape[1] // ROWS)
     return cm.MixtureWork(
         cluster=np.zeros(LANES, np.int64),
         anchor=np.zeros(LANES, np.int64),
         cell=np.zeros(LANES, np.int64),
         total=np.zeros(LANES, np.float32),
         columns=np.zeros(LANES, np.int64),
-        **{name: np.zeros((LANES, photons), np.float32) for name in ("x", "y", "z", "height", "density", "cdf")},
+        share=np.zeros(LANES, np.float32),
+        cone=aligned_words(photons * cm.CONES).reshape(LANES, -1),
+        cdf=np.zeros((LANES, photons), np.float32),
         lane=aligned_words(_END),
         codeword_distance=np.zeros(maps.codebook.shape[1], np.float32),
     )

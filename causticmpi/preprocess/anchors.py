@@ -11,16 +11,15 @@ from typing import Any
 import numpy as np
 
 from causticmpi.kernels import vec
+from causticmpi.kernels.embree import LANES
 from causticmpi.kernels.jit import inline, kernel
 from causticmpi.kernels.kdtree import LEAF, MAX_DEPTH, build_trees, nearest, run_of
 from causticmpi.kernels.wavefront import ENTRIES
+from causticmpi.preprocess.packed_photons import no_photons, pack
 from causticmpi.preprocess.parallax import CURVATURE, DIRECTION, POWER, ROWS, settle
 from causticmpi.preprocess.photons import CausticPoints
 
 FACINGS = 6
-PADDING = 64
-"""The photons of an anchor are padded to a multiple of this by some without power or direction: loops over them are
-vector code without a rest."""
 RUN = 2 * LEAF
 """Photons around an anchor, at most: rows of the tree that no plane parts further."""
 SHORTEST = RUN // 2
@@ -78,14 +77,15 @@ def _find_runs(start, anchor_start, runs, run):
 
 
 @kernel
-def _gather(x, y, z, axis, start, anchor_start, run, radius2, photons, anchor, photon, count, offset, search, work):
-    """Fill anchor (anchors, 3), photon (anchors, ROWS, >= n) and count (anchors,) from the trees.
+def _gather(x, y, z, axis, start, anchor_start, run, radius2, photons, anchor, packed, count, search, work):
+    """Fill anchor (anchors, 3), packed (anchors, BLOCK * blocks), all 0, and count (anchors,) from the trees.
 
     photons: direction (k, 3), power (k,), curvature (k, ENTRIES) in tree order; search: distance, row (n,), stack and
-    plane of `nearest`; offset (3, n), work: of `settle`.
+    plane of `nearest`; work: photon (ROWS, n), offset (3, n) and the workspace of `settle`.
     """
     direction, power, curvature = photons
     distance, row, stack, plane = search
+    photon, offset, rest = work
     for tree in range(start.shape[0] - 1):
         first, last = start[tree], start[tree + 1]
         for a in range(anchor_start[tree], anchor_start[tree + 1]):
@@ -102,17 +102,19 @@ def _gather(x, y, z, axis, start, anchor_start, run, radius2, photons, anchor, p
             for i in range(count[a]):
                 j = row[i]
                 for c in range(3):
-                    photon[a, DIRECTION + c, i] = direction[j, c]
-                photon[a, POWER, i] = power[j]
+                    photon[DIRECTION + c, i] = direction[j, c]
+                photon[POWER, i] = power[j]
                 for c in range(ENTRIES):
-                    photon[a, CURVATURE + c, i] = curvature[j, c]
+                    photon[CURVATURE + c, i] = curvature[j, c]
                 offset[0, i], offset[1, i], offset[2, i] = p[0] - x[j], p[1] - y[j], p[2] - z[j]
-            settle(photon[a], offset, count[a], COMPANIONS, work)
+            settle(photon, offset, count[a], COMPANIONS, rest)
+            pack(photon, count[a], packed[a])
 
 
 def padded(neighbours: int) -> int:
-    """Columns that the photons of an anchor take."""
-    return -(-neighbours // PADDING) * PADDING
+    """Columns that the photons of an anchor take: with some without power or direction behind them, loops over them are
+    vector code without a rest."""
+    return -(-neighbours // LANES) * LANES
 
 
 def build_anchors(points: CausticPoints, radius: float, neighbours: int) -> dict[str, Any]:
@@ -133,7 +135,7 @@ def build_anchors(points: CausticPoints, radius: float, neighbours: int) -> dict
     run = np.zeros((anchor_start[-1], 2), np.int64)
     _find_runs(start, anchor_start, np.zeros(2 * MAX_DEPTH, np.int64), run)
     anchor = np.zeros((anchor_start[-1], 3), np.float32)
-    photon = np.zeros((anchor_start[-1], ROWS, padded(neighbours)), np.float32)
+    packed = no_photons(anchor_start[-1], padded(neighbours))
     count = np.zeros(anchor_start[-1], np.int32)
     photons = direction[order], power[order].astype(np.float32), curvature[order]
     search = (
@@ -142,9 +144,10 @@ def build_anchors(points: CausticPoints, radius: float, neighbours: int) -> dict
         np.zeros(2 * MAX_DEPTH, np.int32),
         np.zeros(MAX_DEPTH, np.float32),
     )
-    offset, work = np.zeros((3, neighbours), np.float32), np.zeros((5, neighbours), np.float32)
+    photon, offset, rest = (np.zeros((rows, neighbours), np.float32) for rows in (ROWS, 3, 5))
+    work = photon, offset, rest
     radius2 = (REACH * np.float32(radius)) ** 2
-    _gather(x, y, z, axis, start, anchor_start, run, radius2, photons, anchor, photon, count, offset, search, work)
+    _gather(x, y, z, axis, start, anchor_start, run, radius2, photons, anchor, packed, count, search, work)
     return {
         "tree_x": x,
         "tree_y": y,
@@ -153,7 +156,7 @@ def build_anchors(points: CausticPoints, radius: float, neighbours: int) -> dict
         "tree_start": start,
         "anchor_start": anchor_start,
         "anchor": anchor,
-        "anchor_photon": photon,
+        "anchor_photon": packed,
         "anchor_count": count,
     }
 
@@ -169,6 +172,6 @@ def no_anchors(neighbours: int) -> dict[str, Any]:
         "tree_start": np.zeros(FACINGS + 1, np.int64),
         "anchor_start": np.zeros(FACINGS + 1, np.int64),
         "anchor": np.zeros((0, 3), np.float32),
-        "anchor_photon": np.zeros((0, ROWS, padded(neighbours)), np.float32),
+        "anchor_photon": no_photons(0, padded(neighbours)),
         "anchor_count": np.zeros(0, np.int32),
     }

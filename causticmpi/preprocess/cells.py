@@ -11,6 +11,7 @@ import numpy as np
 
 from causticmpi.kernels import rng, vec
 from causticmpi.kernels.jit import inline, kernel
+from causticmpi.preprocess.packed_photons import no_photons, packed_photons
 from causticmpi.preprocess.parallax import CURVATURE, DIRECTION, POWER, ROWS, settle_all
 from causticmpi.preprocess.photons import CausticPoints
 
@@ -96,7 +97,8 @@ def build_cells(points: CausticPoints, size: float) -> dict[str, Any]:
 
 
 def _level(points: CausticPoints, size: float, level: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Keys (cells,), middles (cells, 3) and photons (cells, ROWS, KEPT) of the cells of a level with enough photons."""
+    """Keys (cells,), middles (cells, 3) and packed photons (cells, ROWS * KEPT) of the cells of a level that have
+    enough."""
     position, normal, direction, power, curvature = points
     keys = np.empty(len(power), np.uint64)
     _keys(size, level, position, normal, keys)
@@ -119,7 +121,7 @@ def _level(points: CausticPoints, size: float, level: int) -> tuple[np.ndarray, 
     repeats = -(-KEPT // np.minimum(counts, KEPT))
     companions = np.minimum(KEPT - 1, repeats * (1 + COMPANIONS) - 1)
     settle_all(photon, offset, companions, np.zeros((5, KEPT), np.float32))
-    return found, centre, photon
+    return found, centre, packed_photons(photon)
 
 
 def no_cells() -> dict[str, Any]:
@@ -129,5 +131,5 @@ def no_cells() -> dict[str, Any]:
         "cell_key": np.zeros(2, np.uint64),
         "cell_row": np.zeros(2, np.int32),
         "cell": np.zeros((0, 3), np.float32),
-        "cell_photon": np.zeros((0, ROWS, KEPT), np.float32),
+        "cell_photon": no_photons(0, KEPT),
     }

@@ -6,9 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from causticmpi.config.records import RenderConfig
 from causticmpi.errors import InputError
 from causticmpi.preprocess.anchors import SHORTEST, padded
+from causticmpi.preprocess.packed_photons import PACKED
 from causticmpi.preprocess.parallax import ROWS
 from causticmpi.render.film import CHANNELS, LIGHT_CHANNELS
 from causticmpi.render.methods import FORECASTING, traces_light
@@ -19,8 +22,8 @@ MB = 2.0**20
 PHOTON_BYTES = 3 * 40
 """Per photon and node: forecast maps of tables, with overlaps of the clusters; trees and cells of mixture sampling, or
 a photon map, take no more."""
-ANCHOR_WORDS = ROWS / SHORTEST
-"""Float32 per photon and neighbour that its anchor knows."""
+ANCHOR_BYTES = ROWS * np.dtype(PACKED).itemsize / SHORTEST
+"""Per photon and neighbour that its anchor knows."""
 TRIANGLE_BYTES = 150
 """Of Embree's tree, which each rank has."""
 PROCESS_MB = 150
@@ -57,7 +60,7 @@ def memory_needed(config: RenderConfig, scene: SceneData) -> Memory:
     node = pixels * films * 8 * channels / MB  # float64
     node += sum(getattr(scene, name).nbytes for name in scene.ARRAYS) / MB
     mixture = config.method in FORECASTING and config.forecast.sampling == "mixture"
-    photon = PHOTON_BYTES + (4 * ANCHOR_WORDS * padded(config.forecast.neighbours) if mixture else 0)
+    photon = PHOTON_BYTES + (ANCHOR_BYTES * padded(config.forecast.neighbours) if mixture else 0)
     node += wanted_photons(config, scene) * photon / MB
     return Memory(rank, node)
 
