@@ -34,18 +34,19 @@ packed photons do."""
 class MixtureWork(NamedTuple):
     """Workspace, most of it by lane: a vertex that sends its rays.
 
-    cluster, anchor, cell (16,): where it is, anchor and cell -1 where none steers it; total (16,): sum of the weights
-    of its anchor's photons; columns (16,): cones that steer it, a multiple of 16; cone (16, CONES * blocks): of these
-    cones the axis, 1 - cosine of the half angle, weight, and how dense their sampler is inside, times share (16,)
-    [1 / sr]; cdf (16, >= n): running sum of the weights of its anchor's photons; lane: rows of `mixture_rays`;
+    cluster, anchor, cell (16,): where it is, anchor and cell -1 where none steers it; count, columns, total (16,):
+    photons that steer it, with those without power behind them a multiple of 16, and the sum of their weights; cone
+    (16, CONES * blocks): of these cones the axis, 1 - cosine of the half angle, weight, and how dense their sampler is
+    inside, times share (16,) [1 / sr]; cdf (16, >= n): running sum of these weights; lane: rows of `mixture_rays`;
     codeword_distance (m,): search.
     """
 
     cluster: Any
     anchor: Any
     cell: Any
-    total: Any
+    count: Any
     columns: Any
+    total: Any
     share: Any
     cone: Any
     cdf: Any
@@ -88,24 +89,16 @@ def _turn(photons, columns, step, n, cone):
 
 
 @inline
-def _known(maps, work, lane):
-    """How many photons of its anchor steer a lane."""
-    return min(np.int64(maps.anchor_count[work.anchor[lane]]), work.columns[lane])
-
-
-@inline
 def _axis(cone, at):
     return cone[at + X], cone[at + Y], cone[at + Z]
 
 
 @inline
-def weigh_anchor(scene, maps, work, lane, at, columns):
-    """Turn the first `columns` photons of a lane's anchor, a multiple of 16, to its vertex, weigh them by power, BRDF
-    and cosine there. Returns the sum of their weights, `total`, 0 where none counts."""
-    work.columns[lane] = columns
-    anchor, count = work.anchor[lane], _known(maps, work, lane)
+def _weigh(scene, photons, count, columns, step, at, work, lane):
+    """The first `count` of `columns` photons of a place, a multiple of 16, steer a lane: turned to its vertex, a step
+    from there, weighed by power, BRDF and cosine. Returns whether one of them counts."""
     cone, cdf = work.cone[lane], work.cdf[lane]
-    _turn(maps.anchor_photon[anchor], columns, vec.sub(at.p, vec.row(maps.anchor, anchor)), at.n, cone)
+    _turn(photons, columns, step, at.n, cone)
     if scene.kind[at.material] != DIFFUSE:
         for i in range(count):
             own = place_of(i, CONES)
@@ -117,19 +110,26 @@ def weigh_anchor(scene, maps, work, lane, at, columns):
     for i in range(count):
         total += cone[place_of(i, CONES) + WEIGHT]
         cdf[i] = total
-    work.total[lane] = total
+    work.count[lane], work.columns[lane], work.total[lane] = count, columns, total
     work.share[lane] = INV_TWO_PI / total if total > ZERO else ZERO
-    return total
+    return total > ZERO
 
 
 @inline
-def turn_cell(maps, work, lane, p):
-    """Turn the photons of a lane's cell, all alike, to its vertex at p."""
-    cell, cone = work.cell[lane], work.cone[lane]
-    work.columns[lane], work.share[lane] = KEPT, INV_TWO_PI / np.float32(KEPT)
-    _turn(maps.cell_photon[cell], KEPT, vec.sub(p, vec.row(maps.cell, cell)), (ZERO, ZERO, ZERO), cone)
-    for i in range(KEPT):
-        cone[DENSITY + i] = ONE / cone[HEIGHT + i]
+def weigh_anchor(scene, maps, work, lane, at, columns):
+    """The first `columns` photons of a lane's anchor, a multiple of 16, steer it. Returns whether one counts there."""
+    anchor = work.anchor[lane]
+    count = min(np.int64(maps.anchor_count[anchor]), columns)
+    step = vec.sub(at.p, vec.row(maps.anchor, anchor))
+    return _weigh(scene, maps.anchor_photon[anchor], count, columns, step, at, work, lane)
+
+
+@inline
+def weigh_cell(scene, maps, work, lane, at):
+    """The photons of a lane's cell steer it. Returns whether one counts there."""
+    cell = work.cell[lane]
+    step = vec.sub(at.p, vec.row(maps.cell, cell))
+    return _weigh(scene, maps.cell_photon[cell], KEPT, KEPT, step, at, work, lane)
 
 
 @inline
@@ -143,27 +143,16 @@ def in_cone(axis, height, u, v):
 
 
 @inline
-def _cone(work, lane, i):
-    """Direction of a cone of a lane, its height and density in it."""
+def choose_cone(work, lane, choice):
+    """A photon that steers a lane, chosen by weight, `total` > 0: direction, height of its cone and density in it."""
+    i = pick(work.cdf[lane, : work.count[lane]], choice * work.total[lane])
     cone, at = work.cone[lane], place_of(i, CONES)
     return _axis(cone, at), cone[at + HEIGHT], cone[at + DENSITY] * work.share[lane]
 
 
 @inline
-def anchor_cone(maps, work, lane, choice):
-    """A photon of a lane's anchor chosen by weight, `total` > 0: direction, height of its cone and density in it."""
-    return _cone(work, lane, pick(work.cdf[lane, : _known(maps, work, lane)], choice * work.total[lane]))
-
-
-@inline
-def cell_cone(work, lane, choice):
-    """One of the photons of a lane's cell: direction, height of its cone and density in it."""
-    return _cone(work, lane, np.int64(choice * np.float32(KEPT)))
-
-
-@inline
 def cones_pdf(work, lane, direction):
-    """Density of a uniform direction in the cone that `anchor_cone` or `cell_cone` chooses."""
+    """Density of a uniform direction in the cone that `choose_cone` chooses."""
     cone, density = work.cone[lane], ZERO
     for block in range(work.columns[lane] // LANES):
         own = CONES * block

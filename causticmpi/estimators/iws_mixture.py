@@ -60,12 +60,10 @@ def _find_photons(scene, maps, near, i, at, columns):
     """The photons that steer vertex i: the first `columns` of its anchor, if one of them counts there, else those of
     its cell. Returns whether there are any."""
     near.cell[i] = -1
-    if near.anchor[i] >= 0 and cm.weigh_anchor(scene, maps, near, i, at, columns) > ZERO:
+    if near.anchor[i] >= 0 and cm.weigh_anchor(scene, maps, near, i, at, columns):
         return True
     near.anchor[i], near.cell[i] = -1, cell_of(maps, at.p, at.n)
-    if near.cell[i] >= 0:
-        cm.turn_cell(maps, near, i, at.p)
-    return near.cell[i] >= 0
+    return near.cell[i] >= 0 and cm.weigh_cell(scene, maps, near, i, at)
 
 
 @inline
@@ -91,7 +89,7 @@ def _send_first(scene, work, maps):
         elif j == 1:
             rays.by_cluster(maps, work)
         else:
-            rays.by_cones(maps, work, j, 2)
+            rays.by_cones(work, j, 2)
         rays.send(scene, maps, work, j, 2, glossy)
 
 
@@ -120,7 +118,7 @@ def _send_deep(scene, work, maps, count):
             rays.by_brdf(scene, work, glossy)
             rays.by_coin(maps, work)
         else:
-            rays.by_cones(maps, work, j, 1)
+            rays.by_cones(work, j, 1)
         rays.send(scene, maps, work, j, 1, glossy)
 
 

@@ -41,8 +41,9 @@ def mixture_work(maps: ForecastMaps) -> cm.MixtureWork:
         cluster=np.zeros(LANES, np.int64),
         anchor=np.zeros(LANES, np.int64),
         cell=np.zeros(LANES, np.int64),
-        total=np.zeros(LANES, np.float32),
+        count=np.zeros(LANES, np.int64),
         columns=np.zeros(LANES, np.int64),
+        total=np.zeros(LANES, np.float32),
         share=np.zeros(LANES, np.float32),
         cone=aligned_words(photons * cm.CONES).reshape(LANES, -1),
         cdf=np.zeros((LANES, photons), np.float32),
@@ -147,20 +148,16 @@ def by_cluster(maps, work):
 
 
 @inline
-def by_cones(maps, work, j, others):
-    """DIRECTION from the cones of anchors, one in each stratum of their photons, or of cells."""
+def by_cones(work, j, others):
+    """DIRECTION from the cones of anchors or cells, one in each stratum of their photons."""
     near = work.forecast
     lane = near.lane
     words = lane.view(np.int32)
     for i in range(LANES):
         axis, height, own = (ZERO, ZERO, ONE), ONE, ZERO
         if words[COUNT + i] > j:
-            if near.anchor[i] >= 0:
-                stratum = (np.float32(j - others) + lane[CHOICE + i]) / np.float32(words[COUNT + i] - others)
-                choice = min(ALMOST_ONE, stratum)
-                axis, height, own = cm.anchor_cone(maps, near, i, choice)
-            else:
-                axis, height, own = cm.cell_cone(near, i, lane[CHOICE + i])
+            stratum = (np.float32(j - others) + lane[CHOICE + i]) / np.float32(words[COUNT + i] - others)
+            axis, height, own = cm.choose_cone(near, i, min(ALMOST_ONE, stratum))
         put3(lane, AXIS, i, axis)
         lane[HEIGHT + i], lane[OWN + i] = height, own
     for i in range(LANES):

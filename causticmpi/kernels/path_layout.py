@@ -55,6 +55,7 @@ ROOM = MOST_WAITING + LANES
     MATERIAL,
     LIGHT,
     KIND,
+    SHAPE,
     POINT,
     NORMAL,
     OFFSET,
@@ -85,12 +86,12 @@ ROOM = MOST_WAITING + LANES
 ) = (
     _VERTEX_END + LANES * row
     for row in (
-        0, 3, 4, 5, 6, 8, 11, 14, 15, 18, 19, 20, 23, 24, 25, 26, 27, 28,
+        0, 3, 4, 5, 6, 7, 8, 11, 14, 15, 18, 19, 20, 23, 24, 25, 26, 27, 28,
         29, 30, 33, 36, 39, 42, 43, 46, 47, 50, 53, 54, 55, 56,
     )
 )  # fmt: skip
-"""Rows of what a stage finds out about its lanes: SURFACE, SIZE, MATERIAL, LIGHT and KIND are a row of `scene.surface`,
-CORNER to LIGHT_RADIANCE one of `scene.light_row`."""
+"""Rows of what a stage finds out about its lanes: SURFACE, SIZE, MATERIAL, LIGHT, KIND and SHAPE are a row of
+`scene.surface`, CORNER to LIGHT_RADIANCE one of `scene.light_row`."""
 FOUND, FOUND_THROUGHPUT, FOUND_DOUBT, FOUND_PIXEL, FOUND_CHAIN, FOUND_KEY, FOUND_DEPTH = 12, 13, 16, 18, 19, 20, 22
 FOUND_LIGHT = 23
 """Rows of a traced packet, in which Embree's normal and the like are replaced by what a vertex is made of: the kind of

@@ -16,7 +16,7 @@ class TracedScene(NamedTuple):
     handle          address of the Embree scene
     triangle_count  primitives below it are triangles, from it on spheres
     surface         (P, 8) float32: unit normal and largest coordinate of a triangle; centre and radius of a sphere;
-    material, light and kind of material as integers, all in one cache line
+    material, light, kind of material and shape as integers, all in one cache line
     material        (P,) int32; light (P,) int32: row of the light arrays or -1; both columns of `surface`
     primitive_kind  (P,) int8: kind of material, and LIGHT_BIT for lights: small enough to stay in the cache
     kind            (M,) int32; reflectance, specular (M, 3), exponent, ior (M,) float32: see SceneData

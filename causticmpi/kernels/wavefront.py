@@ -1,4 +1,5 @@
-"""How the light that a particle stands for spreads: the curvature of its wavefront, carried along specular chains.
+"""How the light that a particle stands for spreads: the curvature of its wavefront, carried along specular chains, and
+which chain that is.
 
 Rays from one point of a light are perpendicular to wavefronts, and stay so through mirrors and glass (Malus, Dupin). At
 a caustic point the symmetric matrix D = ∂d/∂x therefore tells how the direction d from which that point of the light is
@@ -13,6 +14,7 @@ point: D = (1 - d dᵀ) / t.
 """
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -25,8 +27,10 @@ from causticmpi.kernels.vec import ONE, ZERO
 
 ENTRIES = 6
 """Of a symmetric matrix: xx, xy, xz, yy, yz, zz."""
-CURVATURE = at.PACKETS
-"""Its rows in the lanes of particles, which send no packets of their own."""
+CURVATURE, CHAIN_NAME = at.PACKETS, at.PACKETS + LANES * ENTRIES
+"""Their rows in the lanes of particles, which send no packets of their own: the curvature, and int32 that tells the
+shapes and whether they reflected or let through, since the light or the last non-specular vertex."""
+CARRIED = ENTRIES + 1
 _LEAST = np.float32(1e-6)
 """Focus and grazing rays: what is divided by is no closer to 0."""
 _NEAREST = np.float32(1e-12)
@@ -36,7 +40,7 @@ photon that is not would have the whole forecast refused."""
 
 def wavefronts() -> np.ndarray:
     """What particles carry along in queues beside those of two waves: (2, words) float32."""
-    return np.zeros((2, ENTRIES * at.ROOM), np.float32)
+    return np.zeros((2, CARRIED * at.ROOM), np.float32)
 
 
 @inline
@@ -132,10 +136,17 @@ def _either(which, a, b):
 
 
 @inline
+def joined(name, shape, reflected):
+    """Name of the chain `name` with one event more, at a shape."""
+    longer: Any = np.int32(np.int32(name * np.int32(0x343FD)) + np.int32(2) * shape + np.int32(reflected) + np.int32(1))
+    return np.int32(longer ^ ((longer >> np.int32(15)) & np.int32(0x1FFFF)))
+
+
+@inline
 def arrive(work, fronts, wave, block):
-    """CURVATURE of the light of a block that has met its surfaces."""
+    """CURVATURE and CHAIN_NAME of the light of a block that has met its surfaces."""
     words = work.view(np.int32)
-    for k in range(ENTRIES):
+    for k in range(CARRIED):
         lanes.copy(fronts[wave & 1], k * at.ROOM + LANES * block, work, CURVATURE + LANES * k)
     for i in range(LANES):
         d, t = get3(work, at.DIRECTION, i), work[at.DISTANCE + i]
@@ -145,15 +156,22 @@ def arrive(work, fronts, wave, block):
 
 @inline
 def leave(scene, work, fronts, wave, going_on):
-    """CURVATURE behind the surfaces of a block that has been scattered, to wait with its rays behind `going_on`."""
+    """CURVATURE and CHAIN_NAME behind the surfaces of a block that has been scattered, to wait with its rays behind
+    `going_on`."""
     words = work.view(np.int32)
     for i in range(LANES):
         round_ = ONE / work[at.SIZE + i] if words[at.PRIMITIVE + i] >= scene.triangle_count else ZERO
         d, out, n = get3(work, at.DIRECTION, i), get3(work, RAY16 + 16 * DIR, i), get3(work, at.NORMAL, i)
         eta = math.sqrt(work[at.ETA2 + i])
         put6(work, CURVATURE, i, bent(get6(work, CURVATURE, i), d, out, n, eta, round_))
+    for i in range(LANES):
+        d, out, n = get3(work, at.DIRECTION, i), get3(work, RAY16 + 16 * DIR, i), get3(work, at.NORMAL, i)
+        reflected = vec.dot(d, n) * vec.dot(out, n) < ZERO
+        first = words[at.CHAIN + i] <= 1  # which counts this event already
+        before = np.int32(words[at.DEPTH + i] > 0) if first else words[CHAIN_NAME + i]
+        words[CHAIN_NAME + i] = joined(before, words[at.SHAPE + i], reflected)
     alive = lanes.marked(work, at.ALIVE)
-    for k in range(ENTRIES):
+    for k in range(CARRIED):
         lanes.pack(work, CURVATURE + LANES * k, alive, fronts[(wave + 1) & 1], k * at.ROOM + going_on)
 
 

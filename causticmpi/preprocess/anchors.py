@@ -14,12 +14,11 @@ from causticmpi.kernels import vec
 from causticmpi.kernels.embree import LANES
 from causticmpi.kernels.jit import inline, kernel
 from causticmpi.kernels.kdtree import LEAF, MAX_DEPTH, build_trees, nearest, run_of
-from causticmpi.kernels.wavefront import ENTRIES
+from causticmpi.preprocess.chains import FACINGS, WITNESSES, Chains, forget, represent, witness, witnesses
 from causticmpi.preprocess.packed_photons import no_photons, pack
-from causticmpi.preprocess.parallax import CURVATURE, DIRECTION, POWER, ROWS, settle
+from causticmpi.preprocess.parallax import ROWS, lay, settle
 from causticmpi.preprocess.photons import CausticPoints
 
-FACINGS = 6
 RUN = 2 * LEAF
 """Photons around an anchor, at most: rows of the tree that no plane parts further."""
 SHORTEST = RUN // 2
@@ -27,6 +26,8 @@ SHORTEST = RUN // 2
 REACH = np.float32(1.75)
 """How far an anchor speaks, and the photons it knows lie from it, over the search radius: from farther off they steer
 worse than the cells of a coarser grid do."""
+FEWEST_RARE = 8
+"""Columns at least, besides those of the nearest, for photons of rare chains."""
 COMPANIONS = 4
 """Other photons of the anchor that tell how wide a photon's cone is (parallax)."""
 
@@ -43,13 +44,6 @@ def anchor_of(maps, p, n):
     x, y, z = (maps.anchor[anchor, 0] - p[0], maps.anchor[anchor, 1] - p[1], maps.anchor[anchor, 2] - p[2])
     reach = REACH * np.float32(maps.radius)
     return anchor if x * x + y * y + z * z < reach * reach else np.int64(-1)
-
-
-@kernel
-def _facings(normal, facing):
-    """Which way each normal (n, 3) faces: facing (n,)."""
-    for i in range(normal.shape[0]):
-        facing[i] = vec.closest_axis((normal[i, 0], normal[i, 1], normal[i, 2]))
 
 
 @kernel
@@ -76,78 +70,88 @@ def _find_runs(start, anchor_start, runs, run):
                 run[anchor, 0], run[anchor, 1] = low, high
 
 
+@inline
+def _middle(x, y, z, low, high):
+    """Of the points in rows [low, high)."""
+    a = b = c = 0.0
+    for i in range(low, high):
+        a, b, c = a + x[i], b + y[i], c + z[i]
+    share = 1 / (high - low)
+    return np.float32(a * share), np.float32(b * share), np.float32(c * share)
+
+
 @kernel
-def _gather(x, y, z, axis, start, anchor_start, run, radius2, photons, anchor, packed, count, search, work):
+def _gather(trees, run, anchor_start, radius2, points, chains, anchor, packed, count, search, work):
     """Fill anchor (anchors, 3), packed (anchors, BLOCK * blocks), all 0, and count (anchors,) from the trees.
 
-    photons: direction (k, 3), power (k,), curvature (k, ENTRIES) in tree order; search: distance, row (n,), stack and
-    plane of `nearest`; work: photon (ROWS, n), offset (3, n) and the workspace of `settle`.
+    trees: x, y, z, axis, start and the caustic point of each row; search: distance, row (n,), stack and plane of
+    `nearest`; work: witnesses, photon (ROWS, n), one for chains (ROWS, columns), offset (3, n), workspace of `settle`.
     """
-    direction, power, curvature = photons
+    x, y, z, axis, start, point = trees
     distance, row, stack, plane = search
-    photon, offset, rest = work
+    told, photon, rare, offset, rest = work
     for tree in range(start.shape[0] - 1):
-        first, last = start[tree], start[tree + 1]
         for a in range(anchor_start[tree], anchor_start[tree + 1]):
-            low, high = run[a, 0], run[a, 1]
-            if low == high:  # a number that no run has
+            if run[a, 0] == run[a, 1]:  # a number that no run has
                 continue
-            sx = sy = sz = 0.0
-            for i in range(low, high):
-                sx, sy, sz = sx + x[i], sy + y[i], sz + z[i]
-            share = 1 / (high - low)
-            p = (np.float32(sx * share), np.float32(sy * share), np.float32(sz * share))
+            p = _middle(x, y, z, run[a, 0], run[a, 1])
             anchor[a, 0], anchor[a, 1], anchor[a, 2] = p
-            count[a] = nearest(x, y, z, axis, first, last, p, radius2, row.shape[0], distance, row, stack, plane)
-            for i in range(count[a]):
-                j = row[i]
-                for c in range(3):
-                    photon[DIRECTION + c, i] = direction[j, c]
-                photon[POWER, i] = power[j]
-                for c in range(ENTRIES):
-                    photon[CURVATURE + c, i] = curvature[j, c]
-                offset[0, i], offset[1, i], offset[2, i] = p[0] - x[j], p[1] - y[j], p[2] - z[j]
-            settle(photon, offset, count[a], COMPANIONS, rest)
-            pack(photon, count[a], packed[a])
+            first, last = start[tree], start[tree + 1]
+            found = nearest(x, y, z, axis, first, last, p, radius2, row.shape[0], distance, row, stack, plane)
+            forget(chains, told, tree)
+            for i in range(found):
+                witness(chains, told, point[row[i]])
+            common = 0
+            for i in range(found):
+                j = point[row[i]]
+                if chains.chain[j] < 0 or told.known[chains.chain[j]] >= WITNESSES:
+                    lay(photon, offset, common, points, j, p)
+                    common += 1
+            settle(photon, offset, common, COMPANIONS, rest)
+            area = vec.PI * (distance[0] if found == row.shape[0] else radius2)
+            room = rare.shape[1] - common
+            held = represent(chains, points, told, tree, p, WITNESSES, area, rare, 0, room)
+            # Those of rare chains first: deeper vertices go by the first photons alone.
+            pack(rare, held, packed[a], 0)
+            pack(photon, common, packed[a], held)
+            count[a] = held + common
 
 
-def padded(neighbours: int) -> int:
+def columns_for(neighbours: int) -> int:
     """Columns that the photons of an anchor take: with some without power or direction behind them, loops over them are
     vector code without a rest."""
-    return -(-neighbours // LANES) * LANES
+    return -(-(neighbours + FEWEST_RARE) // LANES) * LANES
 
 
-def build_anchors(points: CausticPoints, radius: float, neighbours: int) -> dict[str, Any]:
+def build_anchors(points: CausticPoints, chains: Chains, radius: float, neighbours: int) -> dict[str, Any]:
     """The `tree_*` and `anchor*` fields of `ForecastMaps` from caustic points whose power is a number (n,).
 
     radius: of the search [scene units].
     """
-    position, normal, direction, power, curvature = points
-    facing = np.empty(len(power), np.int8)
-    _facings(normal, facing)
-    order = np.argsort(facing, kind="stable").astype(np.int32)
-    start = np.searchsorted(facing[order], np.arange(FACINGS + 1)).astype(np.int64)
+    order = np.argsort(chains.facing, kind="stable").astype(np.int32)
+    start = np.searchsorted(chains.facing[order], np.arange(FACINGS + 1)).astype(np.int64)
     axis = np.zeros(len(order), np.uint8)
-    columns = np.ascontiguousarray(position.T)
+    columns = np.ascontiguousarray(points.position.T)
     build_trees(columns, start, order, axis, np.zeros(2 * MAX_DEPTH, np.int64))
     x, y, z = np.take(columns, order, axis=1)
     anchor_start = np.concatenate([[0], np.cumsum(-(-np.diff(start) // SHORTEST))]).astype(np.int64)
     run = np.zeros((anchor_start[-1], 2), np.int64)
     _find_runs(start, anchor_start, np.zeros(2 * MAX_DEPTH, np.int64), run)
     anchor = np.zeros((anchor_start[-1], 3), np.float32)
-    packed = no_photons(anchor_start[-1], padded(neighbours))
+    room = columns_for(neighbours)
+    packed = no_photons(anchor_start[-1], room)
     count = np.zeros(anchor_start[-1], np.int32)
-    photons = direction[order], power[order].astype(np.float32), curvature[order]
+    trees = x, y, z, axis, start, order
     search = (
         np.zeros(neighbours, np.float32),
         np.zeros(neighbours, np.int64),
         np.zeros(2 * MAX_DEPTH, np.int32),
         np.zeros(MAX_DEPTH, np.float32),
     )
-    photon, offset, rest = (np.zeros((rows, neighbours), np.float32) for rows in (ROWS, 3, 5))
-    work = photon, offset, rest
+    shapes = (ROWS, neighbours), (ROWS, room), (3, neighbours), (5, neighbours)
+    work = witnesses(chains, room), *(np.zeros(shape, np.float32) for shape in shapes)
     radius2 = (REACH * np.float32(radius)) ** 2
-    _gather(x, y, z, axis, start, anchor_start, run, radius2, photons, anchor, packed, count, search, work)
+    _gather(trees, run, anchor_start, radius2, points, chains, anchor, packed, count, search, work)
     return {
         "tree_x": x,
         "tree_y": y,
@@ -172,6 +176,6 @@ def no_anchors(neighbours: int) -> dict[str, Any]:
         "tree_start": np.zeros(FACINGS + 1, np.int64),
         "anchor_start": np.zeros(FACINGS + 1, np.int64),
         "anchor": np.zeros((0, 3), np.float32),
-        "anchor_photon": no_photons(0, padded(neighbours)),
+        "anchor_photon": no_photons(0, columns_for(neighbours)),
         "anchor_count": np.zeros(0, np.int32),
     }

@@ -11,14 +11,18 @@ import numpy as np
 
 from causticmpi.kernels import rng, vec
 from causticmpi.kernels.jit import inline, kernel
+from causticmpi.preprocess.chains import Chains, forget, represent, witness, witnesses
 from causticmpi.preprocess.packed_photons import no_photons, packed_photons
 from causticmpi.preprocess.parallax import CURVATURE, DIRECTION, POWER, ROWS, settle_all
 from causticmpi.preprocess.photons import CausticPoints
 
-KEPT = 16
-"""Directions of a cell, drawn from its photons in proportion to power: equal weights, one vector register."""
+DRAWN, KEPT = 16, 32
+"""Photons of a cell: drawn from its own in proportion to power, and with those that stand for chains of which there are
+none among them."""
 FEWEST = 4
 """Photons below which a cell says nothing."""
+KNOWN = 4
+"""Of a chain with so many among those drawn enough is known."""
 COMPANIONS = 2
 """Other photons of the cell that tell how wide a photon's cone is (parallax)."""
 PHOTONS_PER_CELL = 48
@@ -77,12 +81,24 @@ def cell_edge(radius: float, neighbours: int) -> float:
     return radius * math.sqrt(math.pi * PHOTONS_PER_CELL / neighbours)
 
 
-def build_cells(points: CausticPoints, size: float) -> dict[str, Any]:
+@kernel
+def _represent_all(chains, points, cell, facing, area, chosen, photon, work):
+    """Photons of rare chains for all cells, behind those drawn: cell (cells, 3), facing, area (cells,), chosen (cells,
+    DRAWN): rows of these, photon (cells, ROWS, KEPT)."""
+    for i in range(cell.shape[0]):
+        forget(chains, work, facing[i])
+        for k in range(DRAWN):
+            witness(chains, work, chosen[i, k])
+        p = (cell[i, 0], cell[i, 1], cell[i, 2])
+        represent(chains, points, work, facing[i], p, KNOWN, area[i], photon[i], DRAWN, KEPT - DRAWN)
+
+
+def build_cells(points: CausticPoints, chains: Chains, size: float) -> dict[str, Any]:
     """The `cell*` fields of `ForecastMaps` from caustic points whose power is a number (n,).
 
     size: edge of the smallest cells [scene units].
     """
-    levels = [_level(points, size * COARSER**i, i) for i in range(LEVELS)]
+    levels = [_level(points, chains, size * COARSER**i, i) for i in range(LEVELS)]
     keys, centres, photons = (np.concatenate(parts) for parts in zip(*levels, strict=True))
     table = np.zeros(1 << max(1, int(2 * len(keys))).bit_length(), np.uint64)
     row = np.zeros(len(table), np.int32)
@@ -92,14 +108,13 @@ def build_cells(points: CausticPoints, size: float) -> dict[str, Any]:
         "cell_key": table,
         "cell_row": row,
         "cell": centres,
-        "cell_photon": photons,
+        "cell_photon": packed_photons(photons),
     }
 
 
-def _level(points: CausticPoints, size: float, level: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Keys (cells,), middles (cells, 3) and packed photons (cells, ROWS * KEPT) of the cells of a level that have
-    enough."""
-    position, normal, direction, power, curvature = points
+def _level(points: CausticPoints, chains: Chains, size: float, level: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Keys (cells,), middles (cells, 3) and photons (cells, ROWS, KEPT) of the cells of a level with enough photons."""
+    position, normal, direction, power, curvature, _ = points
     keys = np.empty(len(power), np.uint64)
     _keys(size, level, position, normal, keys)
     order = np.argsort(keys, kind="stable")
@@ -108,20 +123,25 @@ def _level(points: CausticPoints, size: float, level: int) -> tuple[np.ndarray, 
     low, high = running[first], running[first + counts]
     telling = (counts >= FEWEST) & (high > low)
     found, first, counts, low, high = (a[telling] for a in (found, first, counts, low, high))
-    # Systematic resampling: every KEPT-th part of a cell's power names a photon.
-    marks = low[:, None] + (high - low)[:, None] * ((np.arange(KEPT) + 0.5) / KEPT)
+    # Systematic resampling: every DRAWN-th part of a cell's power names a photon.
+    marks = low[:, None] + (high - low)[:, None] * ((np.arange(DRAWN) + 0.5) / DRAWN)
     chosen = np.searchsorted(running, marks, side="right") - 1
     chosen = order[np.clip(chosen, first[:, None], (first + counts - 1)[:, None])]
-    photon = np.zeros((len(found), ROWS, KEPT), np.float32)
-    photon[:, DIRECTION : DIRECTION + 3] = direction[chosen].transpose(0, 2, 1)
-    photon[:, CURVATURE:] = curvature[chosen].transpose(0, 2, 1)
-    photon[:, POWER] = 1
+    drawn = np.zeros((len(found), ROWS, DRAWN), np.float32)
+    drawn[:, DIRECTION : DIRECTION + 3] = direction[chosen].transpose(0, 2, 1)
+    drawn[:, CURVATURE:] = curvature[chosen].transpose(0, 2, 1)
+    drawn[:, POWER] = 1
     centre = position[chosen].mean(axis=1, dtype=np.float64).astype(np.float32)
     offset = np.ascontiguousarray((centre[:, None] - position[chosen]).transpose(0, 2, 1), np.float32)
-    repeats = -(-KEPT // np.minimum(counts, KEPT))
-    companions = np.minimum(KEPT - 1, repeats * (1 + COMPANIONS) - 1)
-    settle_all(photon, offset, companions, np.zeros((5, KEPT), np.float32))
-    return found, centre, packed_photons(photon)
+    repeats = -(-DRAWN // np.minimum(counts, DRAWN))
+    companions = np.minimum(DRAWN - 1, repeats * (1 + COMPANIONS) - 1)
+    settle_all(drawn, offset, companions, np.zeros((5, DRAWN), np.float32))
+    photon = np.zeros((len(found), ROWS, KEPT), np.float32)
+    photon[:, :, :DRAWN] = drawn
+    area = (DRAWN * size**2 / (high - low)).astype(np.float32)  # the power of those drawn is 1
+    work = witnesses(chains, KEPT - DRAWN)
+    _represent_all(chains, points, centre, chains.facing[order[first]], area, chosen, photon, work)
+    return found, centre, photon
 
 
 def no_cells() -> dict[str, Any]:

@@ -11,6 +11,7 @@ from causticmpi.kernels import kdtree
 from causticmpi.kernels.jit import inline, kernel
 from causticmpi.preprocess.anchors import build_anchors, no_anchors
 from causticmpi.preprocess.cells import build_cells, cell_edge, no_cells
+from causticmpi.preprocess.chains import part_chains
 from causticmpi.preprocess.directions import COLUMNS, ROWS, coarse_tables
 from causticmpi.preprocess.k_means import k_means_codebook
 from causticmpi.preprocess.photons import CausticPoints
@@ -188,9 +189,11 @@ def build_forecast(
     if sampling != "mixture":
         maps = maps._replace(**_forecast_maps(points, power, codebook, feature, cluster, wanted, overlap))
     if sampling in ("mixture", None):
-        grey = points._replace(power=power)
+        grey = points._replace(power=power.astype(np.float32))
+        chains = part_chains(grey)
         maps = maps._replace(
-            **build_anchors(grey, radius, neighbours), **build_cells(grey, cell_edge(radius, neighbours))
+            **build_anchors(grey, chains, radius, neighbours),
+            **build_cells(grey, chains, cell_edge(radius, neighbours)),
         )
     seconds = {"clustering": clustered - began, "trees": time.perf_counter() - clustered}
     return maps, ClusterStatistics(photons, energy / max(energy.sum(), 1e-300), area, rank, radius, overlap), seconds

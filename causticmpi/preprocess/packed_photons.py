@@ -58,10 +58,11 @@ def _real(packed, at):
 
 
 @inline
-def pack(photon, count, packed):
-    """The first `count` photons of a place, photon (ROWS, >= count) float32, as packed (BLOCK * blocks,) int16."""
+def pack(photon, count, packed, first):
+    """`count` photons of a place, photon (ROWS, >= count) float32, packed as number `first` and so on of (BLOCK *
+    blocks,) int16."""
     for i in range(count):
-        at = place_of(i, BLOCK)
+        at = place_of(first + i, BLOCK)
         for row in range(DIRECTION, DIRECTION + 3):
             packed[at + LANES * row] = _pack_coordinate(photon[row, i])
         for row in range(POWER, ROWS):
@@ -107,7 +108,7 @@ def turned_packed(packed, at, step):
 @kernel
 def _pack_all(photon, packed):
     for place in range(photon.shape[0]):
-        pack(photon[place], photon.shape[2], packed[place])
+        pack(photon[place], photon.shape[2], packed[place], 0)
 
 
 @kernel

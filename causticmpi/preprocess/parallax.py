@@ -13,7 +13,7 @@ import numpy as np
 from causticmpi.kernels import vec
 from causticmpi.kernels.jit import inline, kernel
 from causticmpi.kernels.vec import HALF, ONE, ZERO
-from causticmpi.kernels.wavefront import times
+from causticmpi.kernels.wavefront import ENTRIES, times
 
 DIRECTION, POWER, HEIGHT, CURVATURE, ROWS = 0, 3, 4, 5, 11
 """Rows of the photons that steer at a place: unit direction; power; height of its cone, 1 - cosine of the half angle;
@@ -103,6 +103,17 @@ def _smooth(x, y, z, count, height, logarithm):
             total += near * logarithm[j]
             alike += near
         height[i] = math.exp(total / alike)
+
+
+@inline
+def lay(photon, offset, i, points, j, p):
+    """Caustic point j, whose power is a number, as photon i of a place p, for `settle`. points: CausticPoints."""
+    for c in range(3):
+        photon[DIRECTION + c, i] = points.direction[j, c]
+        offset[c, i] = p[c] - points.position[j, c]
+    photon[POWER, i] = points.power[j]
+    for c in range(ENTRIES):
+        photon[CURVATURE + c, i] = points.curvature[j, c]
 
 
 @inline

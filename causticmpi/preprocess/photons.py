@@ -17,32 +17,36 @@ from causticmpi.kernels.jit import inline, kernel
 from causticmpi.kernels.material_kinds import MIRROR
 from causticmpi.kernels.particle_emission import emit_aimed
 from causticmpi.kernels.traced_scene import TracedScene
-from causticmpi.kernels.wavefront import CURVATURE, ENTRIES, arrive, leave, wavefronts
+from causticmpi.kernels.wavefront import CHAIN_NAME, CURVATURE, ENTRIES, arrive, leave, wavefronts
 
 
 class CausticPoints(NamedTuple):
     """position (n, 3), normal (n, 3) on the lit side, direction (n, 3) back to the specular surface, power (n, 3): the
     flux of the whole lights, not yet divided by the number of particles emitted; curvature (n, 6): of its wavefront
-    there, ∂(-direction)/∂position [1 / scene units], see `wavefront`. float32."""
+    there, ∂(-direction)/∂position [1 / scene units], see `wavefront`. float32. chain (n,) int32: name of the specular
+    chain that it came by, the same for no other but by chance."""
 
     position: Any
     normal: Any
     direction: Any
     power: Any
     curvature: Any
+    chain: Any
 
 
 def no_points(count: int) -> CausticPoints:
     """Room for so many caustic points, all zero."""
-    return CausticPoints(*(np.zeros((count, columns), np.float32) for columns in (3, 3, 3, 3, ENTRIES)))
+    reals = (np.zeros((count, columns), np.float32) for columns in (3, 3, 3, 3, ENTRIES))
+    return CausticPoints(*reals, np.zeros(count, np.int32))
 
 
 class _Found(NamedTuple):
-    """Caustic points of one group in the order found: point (n, 18) float32, the next point of the same particle, -1
-    for none (n,) int32; the first and last of each particle (GROUP,) int32, for those whose bit is set in some
-    (GROUP / 64,) uint64."""
+    """Caustic points of one group in the order found: point (n, 18) float32, chain (n,) int32, the next point of the
+    same particle, -1 for none (n,) int32; the first and last of each particle (GROUP,) int32, for those whose bit is set
+    in some (GROUP / 64,) uint64."""
 
     point: Any
+    chain: Any
     next: Any
     first: Any
     last: Any
@@ -52,6 +56,7 @@ class _Found(NamedTuple):
 def _room(points: int) -> _Found:
     return _Found(
         point=np.zeros((points, 18), np.float32),
+        chain=np.zeros(points, np.int32),
         next=np.zeros(points, np.int32),
         first=np.zeros(waves.GROUP, np.int32),
         last=np.zeros(waves.GROUP, np.int32),
@@ -79,6 +84,7 @@ def _note(scene, work, found, count):
             found.point[count, 9 + c] = work[at.THROUGHPUT + 16 * c + i]
         for k in range(ENTRIES):
             found.point[count, 12 + k] = work[CURVATURE + 16 * k + i]
+        found.chain[count] = words[CHAIN_NAME + i]
         particle = words[at.PIXEL + i]
         word, bit = particle >> 6, np.uint64(1) << np.uint64(particle & 63)
         found.next[count] = -1
@@ -109,6 +115,7 @@ def _store(found, points, stored):
                     points.power[stored, c] = found.point[k, 9 + c]
                 for c in range(ENTRIES):
                     points.curvature[stored, c] = found.point[k, 12 + c]
+                points.chain[stored] = found.chain[k]
                 stored += 1
                 k = found.next[k]
             if stored == points.power.shape[0]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from causticmpi.config.records import RenderConfig
 from causticmpi.errors import InputError
-from causticmpi.preprocess.anchors import SHORTEST, padded
+from causticmpi.preprocess.anchors import SHORTEST, columns_for
 from causticmpi.preprocess.packed_photons import PACKED
 from causticmpi.preprocess.parallax import ROWS
 from causticmpi.render.film import CHANNELS, LIGHT_CHANNELS
@@ -60,7 +60,7 @@ def memory_needed(config: RenderConfig, scene: SceneData) -> Memory:
     node = pixels * films * 8 * channels / MB  # float64
     node += sum(getattr(scene, name).nbytes for name in scene.ARRAYS) / MB
     mixture = config.method in FORECASTING and config.forecast.sampling == "mixture"
-    photon = PHOTON_BYTES + (ANCHOR_BYTES * padded(config.forecast.neighbours) if mixture else 0)
+    photon = PHOTON_BYTES + (ANCHOR_BYTES * columns_for(config.forecast.neighbours) if mixture else 0)
     node += wanted_photons(config, scene) * photon / MB
     return Memory(rank, node)
 

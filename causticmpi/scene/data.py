@@ -19,6 +19,7 @@ class SceneData:
     spheres             (S, 4) float32: centre, radius
     primitive_material  (T+S,) int32: row of the material arrays
     primitive_emission  (T+S,) int32: row of `emission`, or -1
+    primitive_shape     (T+S,) int32: number of the shape of the scene file that it is of
     material_kind       (M,) int32: see kernels.material_kinds
     material_reflectance(M, 3) float32: diffuse albedo, or reflectance of a mirror (1 for a dielectric)
     material_specular   (M, 3) float32: albedo of the Phong lobe (0 elsewhere)
@@ -33,6 +34,7 @@ class SceneData:
     spheres: np.ndarray
     primitive_material: np.ndarray
     primitive_emission: np.ndarray
+    primitive_shape: np.ndarray
     material_kind: np.ndarray
     material_reflectance: np.ndarray
     material_specular: np.ndarray
@@ -50,6 +52,7 @@ class SceneData:
         "spheres",
         "primitive_material",
         "primitive_emission",
+        "primitive_shape",
         "material_kind",
         "material_reflectance",
         "material_specular",

@@ -115,6 +115,7 @@ class _Builder:
                 spheres=_stacked([row[None] for row, _, _ in self.spheres], 4, np.float32),
                 primitive_material=np.repeat(np.array([m for _, m, _ in rows], dtype=np.int32), counts),
                 primitive_emission=np.repeat(np.array([e for _, _, e in rows], dtype=np.int32), counts),
+                primitive_shape=np.repeat(np.arange(len(rows), dtype=np.int32), counts),
                 emission=np.array(list(self.emission), dtype=np.float32),
                 **self.materials.arrays(),
                 camera=file.camera,

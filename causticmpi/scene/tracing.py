@@ -10,7 +10,7 @@ from causticmpi.kernels.material_kinds import LIGHT_BIT
 from causticmpi.kernels.traced_scene import TracedScene
 from causticmpi.scene.data import SceneData
 
-MATERIAL, LIGHT, KIND = 4, 5, 6
+MATERIAL, LIGHT, KIND, SHAPE = 4, 5, 6, 7
 """Columns of `surface` that hold integers: all that a hit asks for lies in one cache line."""
 
 
@@ -33,6 +33,7 @@ def primitive_arrays(scene: SceneData) -> dict[str, np.ndarray]:
     words = surface.view(np.int32)
     words[:, MATERIAL] = scene.primitive_material
     words[:, KIND] = scene.material_kind[scene.primitive_material]
+    words[:, SHAPE] = scene.primitive_shape
     words[:, LIGHT] = -1
     words[lights, LIGHT] = np.arange(len(lights), dtype=np.int32)
     radiance = scene.emission[scene.primitive_emission[lights]].astype(np.float32).reshape(-1, 3)
