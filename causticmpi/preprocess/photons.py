@@ -36,14 +36,16 @@ class CausticPoints(NamedTuple):
 
 def no_points(count: int) -> CausticPoints:
     """Room for so many caustic points, all zero."""
-    reals = (np.zeros((count, columns), np.float32) for columns in (3, 3, 3, 3, ENTRIES))
-    return CausticPoints(*reals, np.zeros(count, np.int32))
+    position, normal, direction, power, curvature = (
+        np.zeros((count, columns), np.float32) for columns in (3, 3, 3, 3, ENTRIES)
+    )
+    return CausticPoints(position, normal, direction, power, curvature, np.zeros(count, np.int32))
 
 
 class _Found(NamedTuple):
     """Caustic points of one group in the order found: point (n, 18) float32, chain (n,) int32, the next point of the
-    same particle, -1 for none (n,) int32; the first and last of each particle (GROUP,) int32, for those whose bit is set
-    in some (GROUP / 64,) uint64."""
+    same particle, -1 for none (n,) int32; the first and last of each particle (GROUP,) int32, for those whose bit is
+    set in some (GROUP / 64,) uint64."""
 
     point: Any
     chain: Any
