@@ -138,7 +138,8 @@ def _either(which, a, b):
 @inline
 def joined(name, shape, reflected):
     """Name of the chain `name` with one event more, at a shape."""
-    longer: Any = np.int32(np.int32(name * np.int32(0x343FD)) + np.int32(2) * shape + np.int32(reflected) + np.int32(1))
+    # 2, as 0 and 1 are where chains begin.
+    longer: Any = np.int32(np.int32(name * np.int32(0x343FD)) + np.int32(2) * shape + np.int32(reflected) + np.int32(2))
     return np.int32(longer ^ ((longer >> np.int32(15)) & np.int32(0x1FFFF)))
 
 
