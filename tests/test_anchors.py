@@ -3,17 +3,18 @@
 import numba
 import numpy as np
 import pytest
+from test_chains import HALF_AXES, assert_stand_for, naive_chains, naive_represent
 from test_forecast import build, caustic_points
 from test_packed_photons import DIRECTION_ERROR, REAL_ERROR
 from test_parallax import naive_settle
 
 from causticmpi.kernels import vec
-from causticmpi.preprocess.anchors import COMPANIONS, FACINGS, REACH, RUN, SHORTEST, anchor_of
+from causticmpi.preprocess.anchors import COMPANIONS, REACH, RUN, SHORTEST, anchor_of
+from causticmpi.preprocess.chains import FACINGS, WITNESSES
 from causticmpi.preprocess.forecast import ForecastMaps, no_forecast
 from causticmpi.preprocess.packed_photons import unpacked_photons
 from causticmpi.preprocess.parallax import CURVATURE, HEIGHT, POWER
 
-HALF_AXES = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], np.float32)
 GREY = ((0x3F80 - 1500 + np.random.default_rng(3).permutation(3000)) << 16).astype(np.int32).view(np.float32)
 """Powers that tell photons apart once they are packed."""
 POINTS = caustic_points(3000)._replace(power=np.repeat(GREY[:, None], 3, axis=1))
@@ -89,8 +90,12 @@ def test_every_run_has_an_anchor_of_its_own_in_its_middle(maps: ForecastMaps) ->
 
 
 def test_anchors_know_the_nearest_photons(maps: ForecastMaps) -> None:
-    """Those of their facing, known by their powers; turned to the anchor and with the cones of the definition."""
+    """Those of their facing, known by their powers; turned to the anchor and with the cones of the definition. Before
+    them photons that stand for the chains of which fewer than WITNESSES are among them, and in the place of these."""
     photons, compared, turns = unpacked_photons(maps.anchor_photon), 0.0, 0.0
+    grey = POINTS._replace(power=LUMINANCE.astype(np.float32))
+    _, chains = naive_chains(grey)
+    stood, rare = [], []
     for facing in range(FACINGS):
         own = np.flatnonzero(facing == FACING)
         for anchor in range(maps.anchor_start[facing], maps.anchor_start[facing + 1]):
@@ -100,10 +105,19 @@ def test_anchors_know_the_nearest_photons(maps: ForecastMaps) -> None:
                 continue
             d2 = ((POINTS.position[own] - maps.anchor[anchor]) ** 2).sum(axis=1)
             near = np.argsort(d2)[: maps.neighbours]
-            near = own[near[d2[near] < (REACH * maps.radius) ** 2]]
-            assert count == len(near)
-            near = near[np.argsort(LUMINANCE[near])]
-            found = photons[anchor, :, :count].T
+            near = near[d2[near] < (REACH * maps.radius) ** 2]
+            reach2 = d2[near[-1]] if len(near) == maps.neighbours else (REACH * maps.radius) ** 2
+            near, place = own[near], maps.anchor[anchor]
+            room = photons.shape[2]
+            few = np.concatenate([rows for rows in chains[facing].values() if np.isin(near, rows).sum() < WITNESSES])
+            common = near[~np.isin(near, few)]
+            expected = naive_represent(grey, chains[facing], near, place, WITNESSES, np.pi * reach2, room - len(common))
+            held = len(expected)
+            assert count == held + len(common)
+            stood.append(assert_stand_for(photons[anchor, :, :held].T, expected, REAL_ERROR, 1e-6 + DIRECTION_ERROR))
+            rare.append((held, len(near) - len(common), len(near) == maps.neighbours))
+            near = common[np.argsort(LUMINANCE[common])]
+            found = photons[anchor, :, held:count].T
             found = found[np.argsort(found[:, POWER])]
             np.testing.assert_allclose(found[:, POWER], LUMINANCE[near], rtol=1e-6)
             direction, curvature = POINTS.direction[near], POINTS.curvature[near]
@@ -117,6 +131,8 @@ def test_anchors_know_the_nearest_photons(maps: ForecastMaps) -> None:
                 turns += (turned == 1).mean() / (maps.anchor_count > 0).sum()
             compared += sure.mean() / (maps.anchor_count > 0).sum()
     assert compared > 0.9 and 0.1 < turns < 0.9
+    represented, dropped, full = np.transpose(rare)
+    assert np.mean(stood) > 0.8 and represented.mean() > 3 and dropped.mean() > 3 and 0.05 < full.mean() < 1
 
 
 def test_places_find_the_anchor_of_their_run(maps: ForecastMaps) -> None:

@@ -15,10 +15,11 @@ from causticmpi.preprocess.photons import CausticPoints
 from causticmpi.preprocess.vector_quantization import EPOCHS, NORMAL_WEIGHT, assign, features, learn_codebook
 
 CLUSTERS = 40
+CHAINS = np.int32([-5, 7, 1 << 30, 4, 5, 6, 8, 9, 10, 11, 12, 13])
 
 
 def caustic_points(n: int = 20_000, seed: int = 1) -> CausticPoints:
-    """A bright ring and a faint spread on a floor, and a patch on a wall."""
+    """A bright ring and a faint spread on a floor, and a patch on a wall, of chains each rarer than the last."""
     generator = np.random.default_rng(seed)
     kind = generator.choice(3, n, p=[0.6, 0.2, 0.2])
     angle, spread = generator.uniform(0, 2 * np.pi, n), 0.02 * generator.normal(size=n)
@@ -30,9 +31,9 @@ def caustic_points(n: int = 20_000, seed: int = 1) -> CausticPoints:
     direction = naive.unit(normal + 0.3 * generator.normal(size=(n, 3)))
     power = generator.exponential(size=(n, 3)) * np.array([3.0, 0.5, 1.0])[kind][:, None]
     curvature = generator.normal(size=(n, 6))
-    return CausticPoints(
-        *(np.ascontiguousarray(a, np.float32) for a in (position, normal, direction, power, curvature))
-    )
+    chain = generator.choice(CHAINS, n, p=0.5 ** np.minimum(1 + np.arange(len(CHAINS)), len(CHAINS) - 1))
+    floats = (np.ascontiguousarray(a, np.float32) for a in (position, normal, direction, power, curvature))
+    return CausticPoints(*floats, chain)
 
 
 POINTS = caustic_points()
@@ -239,7 +240,8 @@ def test_search_radius_finds_about_n() -> None:
     generator = np.random.default_rng(10)
     position = (generator.random((40_000, 3)) * [1, 0, 1]).astype(np.float32)
     plain = np.tile(np.float32([0, 1, 0]), (40_000, 1))
-    points = CausticPoints(position, plain, plain, np.ones_like(position), np.zeros((40_000, 6), np.float32))
+    nothing = np.zeros((40_000, 6), np.float32), np.zeros(40_000, np.int32)
+    points = CausticPoints(position, plain, plain, np.ones_like(position), *nothing)
     maps, statistics, _ = build(points, max_rank=40)
     inner = position[(np.abs(position[:, [0, 2]] - 0.5) < 0.4).all(axis=1)][:400]
     counts = [(((position - p).astype(np.float64) ** 2).sum(axis=1) < statistics.radius**2).sum() for p in inner]

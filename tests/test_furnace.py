@@ -107,7 +107,7 @@ def _scatter(random: np.random.Generator, arrays: dict[str, np.ndarray]) -> None
 
 
 def _reweigh(random: np.random.Generator, photon: np.ndarray, spread: float) -> None:
-    """Powers of the photons of anchors, those of no photon aside."""
+    """Powers of photons that steer, those of no photon aside."""
     power = photon[:, POWER]
     power[:] = np.where(power > 0, np.exp(random.normal(0, spread, power.shape)), 0)
 
@@ -148,7 +148,8 @@ def poisoned(scene: SceneData, config: RenderConfig, how: str) -> ForecastMaps:
         random.shuffle(arrays["cell_photon"])
     elif how == "random powers":
         arrays["power"][:] = np.exp(random.normal(0, 1, len(maps.x)))
-        _reweigh(random, arrays["anchor_photon"], 1)
+        for photon in steering:
+            _reweigh(random, photon, 1)
     elif how == "tables of another cluster":
         arrays["coarse"][:] = np.roll(arrays["coarse"], 5, axis=0)
     elif how == "narrowest cones":
@@ -162,8 +163,8 @@ def poisoned(scene: SceneData, config: RenderConfig, how: str) -> ForecastMaps:
     elif how == "garbage":
         _scatter(random, arrays)
         arrays["power"][:] = np.exp(random.normal(0, 3, len(maps.x)))
-        _reweigh(random, arrays["anchor_photon"], 3)
         for photon in steering:
+            _reweigh(random, photon, 3)
             angle = random.uniform(NARROWEST, WIDEST, photon[:, HEIGHT].shape)
             photon[:, HEIGHT] = np.where(photon[:, HEIGHT] > 0, 1 - np.cos(angle), 0)
         weight = random.exponential(size=arrays["coarse"].shape) ** 4 * (random.random(arrays["coarse"].shape) < 0.3)
@@ -172,7 +173,8 @@ def poisoned(scene: SceneData, config: RenderConfig, how: str) -> ForecastMaps:
     else:
         assert how == "no power"
         arrays["power"][:] = 0
-        arrays["anchor_photon"][:, POWER] = 0
+        for photon in steering:
+            photon[:, POWER] = 0
     for name in ("anchor_photon", "cell_photon"):
         arrays[name] = packed_photons(arrays[name])
     for name, array in arrays.items():  # else the kernels would be compiled for another type

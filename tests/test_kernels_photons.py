@@ -10,12 +10,12 @@ from rendering import REPOSITORY, prepare, scene_from
 from test_embree import hits
 
 from causticmpi.distributed.prepare import PreparedScene
-from causticmpi.kernels import particles, rng, vec
+from causticmpi.kernels import bsdf, particles, rng, vec
 from causticmpi.kernels.aim import NATURAL, emission
-from causticmpi.kernels.embree import ray_buffer
+from causticmpi.kernels.embree import intersect, ray_buffer
 from causticmpi.kernels.material_kinds import MIRROR
 from causticmpi.kernels.particle_waves import GROUP
-from causticmpi.kernels.traced_scene import light_point, pick_light
+from causticmpi.kernels.traced_scene import hit_point, is_specular, light_point, pick_light
 from causticmpi.preprocess import photons
 from causticmpi.preprocess.photons import MOST_PARTICLES_PER_PHOTON, CausticPoints, shoot_photons
 from causticmpi.scene.load import load_scene
@@ -135,8 +135,30 @@ shapes:
 
 
 @numba.njit
-def shoot_one_by_one(scene, rays, seed, aim, found):
-    """Caustic points by the walk of `particles`: position, normal, direction, power. Returns (emitted, rays)."""
+def tell_chain(scene, shape, rays, origin, direction, key, told):
+    """The events of a flight of `particles.walk_to_surface`: twice the shape, and 1 more if it reflects; -1 behind
+    the last."""
+    told[:] = -1
+    for event in range(len(told)):
+        primitive, t = intersect(scene.handle, scene.triangle_count, rays, origin, direction, vec.INFINITY)
+        if primitive < 0:
+            return
+        p, n, offset = hit_point(scene, primitive, origin, direction, t)
+        material = scene.material[primitive]
+        if not is_specular(scene.kind[material]):
+            return
+        choice, _ = rng.uniform2(key, event)
+        out, _, _, _ = bsdf.scatter_specular(scene, material, n, direction, choice)
+        image = vec.sub(direction, vec.scale(n, 2 * vec.dot(n, direction)))
+        told[event] = 2 * shape[primitive] + (vec.dot(image, out) > 1 - 1e-5)
+        origin = vec.along(p, n, offset if vec.dot(out, n) > 0 else -offset)
+        direction = out
+
+
+@numba.njit
+def shoot_one_by_one(scene, shape, rays, seed, aim, found, chain):
+    """Caustic points by the walk of `particles`: position, normal, direction, power; chain (n, 1 + most events): the
+    first entry is 0 if it starts at the light. Returns (emitted, rays)."""
     stored, particle, traced = 0, 0, 0
     while stored < len(found):
         key = rng.make_key(seed, rng.PHOTON, 0, particle)
@@ -150,6 +172,11 @@ def shoot_one_by_one(scene, rays, seed, aim, found):
         origin = vec.along(p, n, offset)
         bounce = 0
         while vec.max3(flux) > 0:
+            told = chain[min(stored, len(found) - 1)]
+            if stored < len(found):
+                told[0] = min(bounce, 1)
+                chain_key = rng.subkey(rng.subkey(key, bounce), 1)
+                tell_chain(scene, shape, rays, origin, direction, chain_key, told[1:])
             u, v = particles.scatter_uniforms(key, bounce)
             at, origin, direction, flux, more = particles.next_vertex(
                 scene, rays, origin, direction, flux, key, bounce, u, v
@@ -169,14 +196,40 @@ def shoot_one_by_one(scene, rays, seed, aim, found):
 def test_waves_are_particles_one_by_one(tmp_path, aim: np.ndarray) -> None:
     """Same points in the same order, until rounding sends a path elsewhere."""
     scene = prepare(scene_from(MIXED, tmp_path))
-    found = np.zeros((3000, 4, 3), np.float32)
-    emitted, traced = shoot_one_by_one(scene.traced, ray_buffer(), 5, aim, found)
+    found, chain = np.zeros((3000, 4, 3), np.float32), np.zeros((3000, 2), np.int64)
+    emitted, traced = shoot_one_by_one(scene.traced, scene.data.primitive_shape, ray_buffer(), 5, aim, found, chain)
     points, emitted_in_waves, traced_in_waves = shoot_photons(scene.traced, 5, len(found), aim)
     assert abs(emitted - emitted_in_waves) <= 5
     assert 0.99 * traced < traced_in_waves < 1.02 * traced + 8 * GROUP  # the last group is traced to its end
     scale = np.abs(found).max(axis=(0, 2))
     differs = (np.abs(np.stack(points[:4], axis=1) - found) > 1e-3 * scale[:, None]).any(axis=(1, 2))
     assert differs.mean() < 0.01, differs.nonzero()
+    scene.embree.close()
+
+
+SPECULAR = """\
+  - {type: box, min: [-0.2, 0.1, 0.8], max: [0.2, 0.5, 1.2], material: glass}
+  - {type: quad, corners: [[-2, 0, 2], [-2, 0, -2], [-2, 2, -2], [-2, 2, 2]], material: mirror}
+  - {type: quad, corners: [[-0.4, 1, 1], [0.4, 1, 1], [0.4, 1.2, -1], [-0.4, 1.2, -1]], material: glass}
+"""
+
+
+def test_chains_have_the_same_name_if_they_are_the_same(tmp_path) -> None:
+    """And only then: begun at a light or not, by the same shapes in turn, reflected or let through alike."""
+    scene = prepare(scene_from(MIXED + SPECULAR, tmp_path))
+    found, chain = np.zeros((20_000, 4, 3), np.float32), np.zeros((20_000, 41), np.int64)
+    shape = scene.data.primitive_shape
+    shoot_one_by_one(scene.traced, shape, ray_buffer(), 5, NATURAL, found, chain)
+    points, _, _ = shoot_photons(scene.traced, 5, len(found))
+    alike = (np.abs(points.position - found[:, 0]) < 1e-3).all(axis=1)
+    assert alike.mean() > 0.95
+    names, chains = points.chain[alike].tolist(), [tuple(c[c >= 0].tolist()) for c in chain[alike]]
+    told, different = set(zip(names, chains, strict=True)), set(chains)
+    assert len(set(names)) == len(different) == len(told) > 100
+    # There are chains that differ in nothing but where they begin, what happens last, or the order.
+    assert any((1, *c[1:]) in different for c in different if c[0] == 0)
+    assert any((*c[:-1], c[-1] + 1) in different for c in different if c[-1] % 2 == 0)
+    assert any((c[0], *c[:0:-1]) in different for c in different if c[1:] != c[:0:-1])
     scene.embree.close()
 
 

@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 from chi_square import SAMPLES, SphereCells, p_value, pair_p_value, sidak
 from rendering import make_config, prepare, render_passes, scene_from
+from test_chains import assert_stand_for, chain_names, naive_chains, naive_represent
+from test_kernels_bsdf import materials
+from test_mixture import DIFFUSE, NORMAL, OUT, SOFT, Place, naive_weights
 from test_packed_photons import DIRECTION_ERROR, REAL_ERROR
 from test_parallax import naive_settle, naive_turned
 from z_test import ALPHA, compare
@@ -24,10 +27,11 @@ from causticmpi.kernels import emission, vec
 from causticmpi.kernels.emission import emission_guide, natural_emission
 from causticmpi.kernels.particle_waves import GROUP
 from causticmpi.preprocess import cells
-from causticmpi.preprocess.cells import COARSER, KEPT, LEVELS, build_cells, cell_edge
-from causticmpi.preprocess.forecast import ForecastMaps, no_forecast
+from causticmpi.preprocess.cells import COARSER, DRAWN, KEPT, KNOWN, LEVELS, build_cells, cell_edge
+from causticmpi.preprocess.chains import part_chains
+from causticmpi.preprocess.forecast import no_forecast
 from causticmpi.preprocess.packed_photons import packed_photons, unpacked_photons
-from causticmpi.preprocess.parallax import CURVATURE, HEIGHT
+from causticmpi.preprocess.parallax import CURVATURE, HEIGHT, POWER
 from causticmpi.preprocess.photons import CausticPoints
 from causticmpi.render import rounds
 from causticmpi.render.film import Film
@@ -97,14 +101,14 @@ def run_cells(maps, p, n, out):
 
 
 @numba.njit
-def run_turn_cell(maps, work, p):
-    cm.turn_cell(maps, work, LANE, vec.row(p, 0))
+def run_weigh_cell(scene, maps, work, p, n, wo, material):
+    return cm.weigh_cell(scene, maps, work, LANE, Place(vec.row(p, 0), vec.row(n, 0), vec.row(wo, 0), material))
 
 
 @numba.njit
 def run_sample_cell(work, u, out, own):
     for i in range(len(u)):
-        axis, height, own[i] = cm.cell_cone(work, LANE, u[i, 0])
+        axis, height, own[i] = cm.choose_cone(work, LANE, u[i, 0])
         out[i, 0], out[i, 1], out[i, 2] = cm.in_cone(axis, height, u[i, 1], u[i, 2])
 
 
@@ -281,67 +285,90 @@ def points(count: int = 4000) -> CausticPoints:
     normal[wall] = 1, 0, 0
     direction = naive.unit(normal + 0.3 * position + 0.2 * generator.normal(size=(count, 3)))
     power, curvature = generator.exponential(size=count), generator.normal(size=(count, 6))
-    return CausticPoints(*(a.astype(np.float32) for a in (position, normal, direction, power, curvature)))
+    floats = (a.astype(np.float32) for a in (position, normal, direction, power, curvature))
+    return CausticPoints(*floats, chain_names(count, 17))
 
 
 def test_cells_hold_the_photons_around() -> None:
-    """Against a plain grid: the smallest level with enough photons answers, with KEPT of its own, drawn in equal steps
-    of power; turned to their middle, and with cones as wide as COMPANIONS other photons ask for."""
+    """Against a plain grid: the smallest level with enough photons answers, with DRAWN of its own, drawn in equal steps
+    of power; turned to their middle, and with cones as wide as COMPANIONS other photons ask for. Behind them photons
+    that stand for the chains of which fewer than KNOWN are among them."""
     found_points = points()
-    position, normal, direction, power, curvature = found_points
+    position, normal, direction, power, curvature, _ = found_points
+    facing, chains = naive_chains(found_points)
     edge = cell_edge(0.1, 20)
-    maps = no_forecast()._replace(**build_cells(CausticPoints(*found_points), edge))
+    maps = no_forecast()._replace(**build_cells(found_points, part_chains(found_points), edge))
     found = np.zeros(len(position), np.int64)
     run_cells(maps, position, normal, found)
     assert (found >= 0).mean() > 0.9
     sides = [np.float32(edge) * COARSER**level for level in range(LEVELS)]
     keys = [np.concatenate([np.floor(position / side), normal], axis=1) for side in sides]
-    photons, compared, turns = unpacked_photons(maps.cell_photon), [], []
+    photons, compared, turns, stood, held = unpacked_photons(maps.cell_photon), [], [], [], []
     for i in range(0, len(position), 37):
-        for key in keys:
-            members = np.flatnonzero((key == key[i]).all(axis=1))
-            if len(members) >= cells.FEWEST:
-                break
-        marks = power[members].sum(dtype=np.float64) * (np.arange(KEPT) + 0.5) / KEPT
+        alike = [np.flatnonzero((key == key[i]).all(axis=1)) for key in keys]
+        side, members = next(pair for pair in zip(sides, alike, strict=True) if len(pair[1]) >= cells.FEWEST)
+        marks = power[members].sum(dtype=np.float64) * (np.arange(DRAWN) + 0.5) / DRAWN
         drawn = members[np.searchsorted(np.cumsum(power[members].astype(np.float64)), marks)]
         middle = position[drawn].mean(axis=0, dtype=np.float64)
         np.testing.assert_allclose(maps.cell[found[i]], middle, atol=1e-6)
-        often = int(np.ceil(KEPT / min(len(members), KEPT)))
-        others = min(KEPT - 1, often * (1 + cells.COMPANIONS) - 1)
+        often = int(np.ceil(DRAWN / min(len(members), DRAWN)))
+        others = min(DRAWN - 1, often * (1 + cells.COMPANIONS) - 1)
         wanted, height, turned, sure = naive_settle(
             direction[drawn], curvature[drawn], middle - position[drawn], others
         )
-        kept = photons[found[i]].T
+        kept = photons[found[i]].T[:DRAWN]
+        assert (kept[:, POWER] == 1).all()
         np.testing.assert_allclose(kept[sure, HEIGHT], height[sure], rtol=2e-3 + REAL_ERROR)
         if sure.any():
             np.testing.assert_allclose(kept[:, :3], wanted, atol=1e-6 + DIRECTION_ERROR)
             np.testing.assert_allclose(kept[turned == 1, CURVATURE:], curvature[drawn[turned == 1]], rtol=REAL_ERROR)
         compared.append(sure.mean())
         turns.append((turned == 1).mean())
+        area = DRAWN * float(side) ** 2 / power[members].sum(dtype=np.float64)
+        expected = naive_represent(
+            found_points, chains[facing[i]], drawn, maps.cell[found[i]], KNOWN, area, KEPT - DRAWN
+        )
+        held.append(len(expected))
+        behind = photons[found[i], :, DRAWN:].T
+        stood.append(assert_stand_for(behind[: held[-1]], expected, REAL_ERROR, 1e-6 + DIRECTION_ERROR))
+        assert (behind[held[-1] :] == 0).all()
     assert np.mean(compared) > 0.85 and 0.05 < np.mean(turns) < 0.95
+    assert np.mean(stood) > 0.85 and 0.05 < (np.array(held) == KEPT - DRAWN).mean() < 0.95
     nowhere = np.zeros(1, np.int64)
     run_cells(maps, np.float32([[50, 50, 50]]), np.float32([[0, 1, 0]]), nowhere)
     assert nowhere[0] == -1
 
 
-def axes_of(maps: ForecastMaps, cell: int) -> np.ndarray:
-    """Directions (KEPT, 3) of a cell's photons at the place a STEP from it."""
-    photon = unpacked_photons(maps.cell_photon)[cell].T
-    return naive_turned(photon[:, :3].astype(np.float64), photon[:, CURVATURE:], np.tile(STEP, (KEPT, 1)))
+def axes_of(photon: np.ndarray) -> np.ndarray:
+    """Directions (n, 3) of a cell's photons (ROWS, n) at the place a STEP from it."""
+    photon = photon.T
+    return naive_turned(photon[:, :3].astype(np.float64), photon[:, CURVATURE:], np.tile(STEP, (len(photon), 1)))
 
 
+@pytest.mark.parametrize("material", [DIFFUSE, SOFT])
 @pytest.mark.parametrize("degrees", [1.0, 20.0])
-def test_directions_of_a_cell(degrees: float) -> None:
-    maps = no_forecast()._replace(**build_cells(CausticPoints(*points()), 0.5))
+def test_directions_of_a_cell(degrees: float, material: int) -> None:
+    """By power, cosine and BRDF, and those of no photon never."""
+    made, generator = points(), np.random.default_rng(9)
+    maps = no_forecast()._replace(**build_cells(made, part_chains(made), 0.5))
     photon = unpacked_photons(maps.cell_photon)
-    photon[1, HEIGHT] = 1 - np.cos(np.radians(np.linspace(degrees, degrees / 2, KEPT)))
-    photon[1, CURVATURE:] = np.random.default_rng(9).normal(size=(6, KEPT))
+    count = KEPT - 3
+    photon[1, :, count:] = 0
+    photon[1, POWER, :count] = generator.exponential(size=count)
+    photon[1, HEIGHT, :count] = 1 - np.cos(np.radians(np.linspace(degrees, degrees / 2, count)))
+    photon[1, CURVATURE:, :count] = generator.normal(size=(6, count))
     maps = maps._replace(cell_photon=packed_photons(photon))
+    photon = unpacked_photons(maps.cell_photon)[1, :, :count]
     work = mixture_work(maps)
     work.cell[LANE] = 1
-    run_turn_cell(maps, work, (maps.cell[1] + STEP)[None])
-    axes = axes_of(maps, 1)
-    assert np.abs(axes - photon[1, :3].T).max() > 0.05
+    assert run_weigh_cell(materials(), maps, work, (maps.cell[1] + STEP)[None], NORMAL[None], OUT[None], material)
+    axes = axes_of(photon)
+    assert np.abs(axes - photon[:3].T).max() > 0.05
+    weight = naive_weights(material, axes, photon[POWER])
+    assert 1 < (weight == 0).sum() < count / 2
+    wanted = np.append(np.cumsum(weight), np.full(KEPT - count, weight.sum()))
+    np.testing.assert_allclose(work.cdf[LANE, :KEPT], wanted, atol=2e-6 * weight.sum())
+    heights, axes = photon[HEIGHT, weight > 0], axes[weight > 0]
     out, own = np.zeros((SAMPLES, 3), np.float32), np.zeros(SAMPLES, np.float32)
     run_sample_cell(work, uniform(SAMPLES, 3), out, own)
     grid = SphereCells(axes.mean(axis=0), np.cos(np.radians(np.linspace(180, 0, 91))), columns=32)
@@ -354,7 +381,7 @@ def test_directions_of_a_cell(degrees: float) -> None:
     run_cell_pdf(work, out, at)
     assert (own > 0).all() and (at >= own * (1 - 1e-5)).mean() > 1 - 2e-5  # rounding at the rim of a cone
     # Edges of cones cut the cells of the grid: compare where the quadrature is exact to a percent.
-    area = area_of_cones(axes, photon[1, HEIGHT])
+    area = area_of_cones(axes, heights)
     assert abs((1 / at[at > 0].astype(np.float64)).mean() - area) < 0.02 * area
     counts = grid.counts(out) / SAMPLES
     assert np.abs(counts - expected).sum() < 0.1

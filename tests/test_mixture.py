@@ -20,7 +20,7 @@ from causticmpi.estimators.iws_mixture import _foresee_tile
 from causticmpi.estimators.mixture_rays import mixture_work
 from causticmpi.kernels import vec
 from causticmpi.kernels.material_kinds import PHONG
-from causticmpi.preprocess.anchors import padded
+from causticmpi.preprocess.anchors import columns_for
 from causticmpi.preprocess.forecast import ForecastMaps, no_forecast
 from causticmpi.preprocess.packed_photons import packed_photons, unpacked_photons
 from causticmpi.preprocess.parallax import CURVATURE, HEIGHT, NARROWEST, POWER, ROWS
@@ -70,14 +70,14 @@ def run_weigh(scene, maps, work, p, n, wo, material, columns):
 
 
 @numba.njit
-def run_sample_fine(maps, work, u, out, own):
+def run_sample_fine(work, u, out, own):
     for i in range(u.shape[0]):
-        axis, height, own[i] = cm.anchor_cone(maps, work, LANE, u[i, 0])
+        axis, height, own[i] = cm.choose_cone(work, LANE, u[i, 0])
         out[i, 0], out[i, 1], out[i, 2] = cm.in_cone(axis, height, u[i, 1], u[i, 2])
 
 
 @numba.njit
-def run_fine_pdf(maps, work, direction, out):
+def run_fine_pdf(work, direction, out):
     for i in range(direction.shape[0]):
         out[i] = cm.cones_pdf(work, LANE, vec.row(direction, i))
 
@@ -109,7 +109,7 @@ def gathered(direction: np.ndarray, power: np.ndarray, degrees: Any) -> tuple[Fo
     """Maps with an anchor of photons that are seen in these directions, within 0.3 or so, from where it is, with cones
     of these half angles, and rubbish in what a vertex before it may have left behind."""
     count, neighbours = len(power), max(1, len(power))
-    near = np.full((16, ROWS, padded(neighbours)), 7.0, np.float32)
+    near = np.full((16, ROWS, columns_for(neighbours)), 7.0, np.float32)
     near[ANCHOR] = 0
     near[ANCHOR, :3, :count], near[ANCHOR, POWER, :count] = direction.T, power
     near[ANCHOR, HEIGHT, :count] = height(degrees)
@@ -128,11 +128,11 @@ def gathered(direction: np.ndarray, power: np.ndarray, degrees: Any) -> tuple[Fo
 
 
 def weigh(maps: ForecastMaps, work: cm.MixtureWork, material: int, columns: int = 64) -> float:
-    """At the vertex a STEP from the anchor."""
+    """Sum of the weights at the vertex a STEP from the anchor."""
     place, columns = (maps.anchor[ANCHOR] + STEP)[None], min(columns, maps.anchor_photon.shape[1] // ROWS)
-    total = run_weigh(materials(), maps, work, place, NORMAL[None], OUT[None], material, columns)
-    assert total == work.total[LANE]
-    return total
+    counts = run_weigh(materials(), maps, work, place, NORMAL[None], OUT[None], material, columns)
+    assert counts == (work.total[LANE] > 0) and work.count[LANE] == min(maps.anchor_count[ANCHOR], columns)
+    return work.total[LANE]
 
 
 def seen(maps: ForecastMaps, count: int) -> np.ndarray:
@@ -181,8 +181,8 @@ def test_fine_sampler(case: tuple[int, int, int, float, float, int]) -> None:
     weigh(maps, work, material, columns)
     sampled = np.empty((SAMPLES, 3), np.float32)
     own, density = np.empty(SAMPLES, np.float32), np.empty(SAMPLES, np.float32)
-    run_sample_fine(maps, work, np.random.default_rng(5).random((SAMPLES, 3), np.float32), sampled, own)
-    run_fine_pdf(maps, work, sampled, density)
+    run_sample_fine(work, np.random.default_rng(5).random((SAMPLES, 3), np.float32), sampled, own)
+    run_fine_pdf(work, sampled, density)
     assert (own > 0).all() and (density < own * (1 - 1e-5)).mean() < LOST
     axes = seen(maps, count)[:columns]
     used = axes[naive_weights(material, axes, power[:columns]) > 0]
@@ -193,7 +193,7 @@ def test_fine_sampler(case: tuple[int, int, int, float, float, int]) -> None:
     cells = SphereCells(axis, np.unique(np.concatenate([[-1.0], heights[:-1], [1.0]])))
     centres, _ = cells.quadrature(64)
     density = np.empty(len(centres), np.float32)
-    run_fine_pdf(maps, work, centres.astype(np.float32), density)
+    run_fine_pdf(work, centres.astype(np.float32), density)
     expected = cells.integrate(density, 64)
     assert expected.sum() == pytest.approx(1, abs=1e-3)
     expected /= expected.sum()
@@ -219,8 +219,8 @@ def test_narrow_cones(degrees: float) -> None:
         assert weigh(maps, work, DIFFUSE) > 0
         sampled, density = np.empty((SAMPLES // AXES, 3), np.float32), np.empty(SAMPLES // AXES, np.float32)
         own = np.empty_like(density)
-        run_sample_fine(maps, work, generator.random((len(sampled), 3), np.float32), sampled, own)
-        run_fine_pdf(maps, work, sampled, density)
+        run_sample_fine(work, generator.random((len(sampled), 3), np.float32), sampled, own)
+        run_fine_pdf(work, sampled, density)
         np.testing.assert_allclose(own, 1 / (2 * np.pi * height(degrees)), rtol=1e-5)
         assert np.array_equal(density[density > 0], own[density > 0])
         chord = naive.unit(sampled) - naive.unit(cone_axes(work, 1)[0])
@@ -245,7 +245,7 @@ def test_anchor_without_usable_photons() -> None:
         maps = maps._replace(anchor_photon=packed_photons(photon))
         total = weigh(maps, work, SOFT)
         density = np.full(20, np.nan, np.float32)
-        run_fine_pdf(maps, work, direction, density)
+        run_fine_pdf(work, direction, density)
         assert total == 0 and (density == 0).all()
 
 

@@ -3,6 +3,7 @@
 import naive
 import numba
 import numpy as np
+import pytest
 from test_parallax import naive_turned
 
 from causticmpi.preprocess import packed_photons as packing
@@ -22,8 +23,8 @@ def run_ask(packed, step, out):
 
 
 @numba.njit
-def run_pack(photon, count, packed):
-    packing.pack(photon, count, packed)
+def run_pack(photon, count, packed, first):
+    packing.pack(photon, count, packed, first)
 
 
 def photons(places: int, columns: int) -> np.ndarray:
@@ -77,9 +78,13 @@ def test_photons_are_found_again() -> None:
         assert np.median(np.linalg.norm(naive.unit(found[:, 2:]) - exact, axis=1)) < 2e-3
 
 
-def test_so_many_are_packed() -> None:
+@pytest.mark.parametrize("first", [0, 5, 13])
+def test_so_many_are_packed(first: int) -> None:
+    """Behind those that are there already."""
     photon, packed = photons(1, 48)[0], np.full(ROWS * 48, 77, np.int16)
-    run_pack(photon[:, :35].copy(), 35, packed)
+    run_pack(photon[:, first:].copy(), 35, packed, first)
     by_photon = packed.reshape(3, ROWS, 16).transpose(0, 2, 1).reshape(48, ROWS)
     whole = packed_photons(photon[None])[0].reshape(3, ROWS, 16).transpose(0, 2, 1).reshape(48, ROWS)
-    assert np.array_equal(by_photon[:35], whole[:35]) and (by_photon[35:] == 77).all()
+    these = slice(first, first + 35)
+    assert np.array_equal(by_photon[these], whole[these])
+    assert (by_photon[:first] == 77).all() and (by_photon[first + 35 :] == 77).all()

@@ -82,7 +82,7 @@ def lit_plane(random: np.random.Generator, count: int, low: float = 0.0) -> Caus
     position = random.random((count, 3)) * [1 - low, 0, 1] + [low, 0, 0]
     up = np.tile(UP, (count, 1)).astype(np.float32)
     power, curvature = np.ones((count, 3), np.float32), np.zeros((count, 6), np.float32)
-    return CausticPoints(position.astype(np.float32), up, up, power, curvature)
+    return CausticPoints(position.astype(np.float32), up, up, power, curvature, np.zeros(count, np.int32))
 
 
 @pytest.mark.parametrize("material", [MATT, GLOSS])
@@ -94,7 +94,8 @@ def test_against_all_photons(surfaces: PreparedScene, material: int, radius: flo
     normal, direction = naive.unit(random.normal(size=(2, count, 3)) + [0, 1.5, 0])
     power = random.exponential(size=(count, 3))
     position, curvature = random.random((count, 3)), random.normal(size=(count, 6))
-    points = CausticPoints(*(a.astype(np.float32) for a in (position, normal, direction, power, curvature)))
+    floats = (a.astype(np.float32) for a in (position, normal, direction, power, curvature))
+    points = CausticPoints(*floats, np.zeros(count, np.int32))
     photons = build_photon_map(points, emitted, k, radius)
     at = random.random((200, 3)) * 1.2 - 0.1
     wo = naive.unit(np.array([0.3, 0.8, -0.2]))

@@ -73,6 +73,7 @@ def test_triangles_are_numbered_before_spheres(tmp_path: Path) -> None:
     scene = load(tmp_path, f"{sphere}\n  - {{type: box, min: [0, 0, 0], max: [1, 1, 1], material: white}}")
     assert scene.primitive_material.tolist() == [0] * 14 + [1]
     assert scene.primitive_emission.tolist() == [0, 0] + [-1] * 13
+    assert scene.primitive_shape.tolist() == [0, 0] + [1] * 12 + [2]
 
 
 def test_materials(tmp_path: Path) -> None:
