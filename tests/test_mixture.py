@@ -14,6 +14,7 @@ from test_kernels_bsdf import MATERIALS, materials
 from test_parallax import naive_turned
 
 from causticmpi.estimators import caustic_mixture as cm
+from causticmpi.estimators import mixture_rays as rays
 from causticmpi.estimators import weak_singularities as ws
 from causticmpi.estimators.full_radiance import PassWork, pass_work
 from causticmpi.estimators.iws_mixture import _foresee_tile
@@ -80,6 +81,11 @@ def run_sample_fine(work, u, out, own):
 def run_fine_pdf(work, direction, out):
     for i in range(direction.shape[0]):
         out[i] = cm.cones_pdf(work, LANE, vec.row(direction, i))
+
+
+@numba.njit
+def run_by_cones(work, j, others):
+    rays.by_cones(work, j, others)
 
 
 @numba.njit
@@ -230,6 +236,39 @@ def test_narrow_cones(degrees: float) -> None:
     print(f"\n{degrees} degrees: {lost:.2e} without density, p of the radius {p:.3g}")
     assert lost <= LOST * max(1.0, LOST_FROM / degrees)
     assert p > sidak(COMPARISONS)
+
+
+class Work(NamedTuple):
+    """What `by_cones` asks of a workspace."""
+
+    forecast: cm.MixtureWork
+
+
+@pytest.mark.parametrize("others", [1, 2])
+def test_rays_take_cones_in_strata(others: int) -> None:
+    """Ray j of a vertex, behind the first `others`, has its own part of the photons by weight; what is beyond its last
+    has no cone."""
+    direction, power = photons(50, 10, 0.5)
+    maps, work = gathered(direction, power, np.linspace(10, 5, 50))
+    weigh(maps, work, DIFFUSE)
+    cdf = work.cdf[LANE, :50].astype(np.float64)
+    axes, heights, count, chosen = cone_axes(work, 50), height(np.linspace(10, 5, 50)), 7, set()
+    work.lane[:] = 0
+    work.lane.view(np.int32)[rays.COUNT + LANE] = count
+    for j in range(others, count):
+        for choice in (0, 0.3, 0.7, 0.9999999):
+            work.lane[rays.CHOICE + LANE] = choice
+            run_by_cones(Work(work), j, others)
+            i = int(np.searchsorted(cdf, (j - others + choice) / (count - others) * cdf[-1], side="right"))
+            axis = work.lane[rays.AXIS + LANE : rays.AXIS + 48 : 16]
+            assert np.array_equal(axis, axes[i]) and work.lane[rays.HEIGHT + LANE] == heights[i]
+            density = np.diff(cdf, prepend=0)[i] / cdf[-1] / (2 * np.pi * heights[i])
+            np.testing.assert_allclose(work.lane[rays.OWN + LANE], density, rtol=1e-3)
+            np.testing.assert_allclose(work.lane[rays.DIRECTION + LANE : rays.DIRECTION + 48 : 16], axis, atol=1e-6)
+            chosen.add(i)
+    assert len(chosen) > 12
+    run_by_cones(Work(work), count, others)
+    assert work.lane[rays.OWN + LANE] == 0
 
 
 def test_anchor_without_usable_photons() -> None:
