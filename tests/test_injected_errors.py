@@ -134,7 +134,10 @@ MIXTURE_ERRORS = {
         ("density = share * lane[BRDF + i] + lane", "density = lane"),
     ],
     "thin cones": [  # cones are sampled more often than the weights know; with none at all paths would never end
-        ("density += np.float32(steered) * inside", "density += np.float32(0.7) * np.float32(steered) * inside"),
+        (
+            "density += np.float32(steered) * cm.cones_pdf",
+            "density += np.float32(0.7) * np.float32(steered) * cm.cones_pdf",
+        ),
     ],
 }
 

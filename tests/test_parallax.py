@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from causticmpi.preprocess import parallax
-from causticmpi.preprocess.parallax import ALIKE, CURVATURE, FEWEST, HEIGHT, MOST_TURN, NARROWEST, POWER, ROWS, WIDER
+from causticmpi.preprocess.parallax import ALIKE, CURVATURE, FEWEST, HEIGHT, MOST_TURN, NARROWEST, POWER, ROWS
 
 WIDEST_HEIGHT, NARROWEST_HEIGHT = 1 - math.cos(parallax.WIDEST), 1 - math.cos(NARROWEST)
 ENTRY = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
@@ -66,7 +66,7 @@ def naive_settle(
     clear = np.abs(theirs - mine) > SURE * (mine + theirs)
     alright = clear | (np.linalg.norm(own - other, axis=1) < 2e-7)
     kept = np.where(better[:, None], other, own)
-    height = np.clip(float(WIDER) * np.minimum(mine, theirs), NARROWEST_HEIGHT, WIDEST_HEIGHT)
+    height = np.clip(np.minimum(mine, theirs), NARROWEST_HEIGHT, WIDEST_HEIGHT)
     chords = ((kept[:, None] - kept[None]) ** 2).sum(axis=2) / 2
     alike = chords <= float(ALIKE) * height[:, None]
     sure = (np.abs(chords - float(ALIKE) * height[:, None]) > SURE * chords).all(axis=1) & alright.all()
@@ -198,7 +198,7 @@ def test_photons_of_one_image_agree() -> None:
     # What is left is of the second order, (0.06 / 7)^2, and seldom so much.
     np.testing.assert_allclose(found[:, :3], np.tile(naive.unit(image[0]), (50, 1)), atol=1e-4)
     unturned = settled(direction, 0 * curvature, -place.astype(np.float32), 4)
-    assert (unturned[:, HEIGHT] > 5 * NARROWEST_HEIGHT).all()
+    assert (unturned[:, HEIGHT] > 2 * NARROWEST_HEIGHT).all()
 
 
 def test_the_wrong_curvature_is_not_followed() -> None:

@@ -6,7 +6,7 @@
   brdf    `bsdf.sample`, which reaches every direction: with a share of it the estimate is unbiased whatever the
           photons are.
 The paper's bins are wider than many lights look through a lens; a cone is as wide as its photon and those near by
-disagree.
+disagree, and has no rim: chance alone would find what lies beyond.
 """
 
 import math
@@ -26,7 +26,7 @@ from causticmpi.preprocess.directions import COLUMNS, ROWS
 from causticmpi.preprocess.packed_photons import BLOCK, ask_for, height_of, place_of, power_of, turned_packed
 from causticmpi.preprocess.parallax import ROWS as PHOTON_ROWS
 
-X, Y, Z, HEIGHT, WEIGHT, DENSITY, CONES = (LANES * row for row in range(7))
+X, Y, Z, HEIGHT, WEIGHT, STRENGTH, CONES = (LANES * row for row in range(7))
 """Rows of 16 cones as word offsets in `MixtureWork.cone`, where blocks of CONES words follow each other as those of
 packed photons do."""
 
@@ -36,8 +36,8 @@ class MixtureWork(NamedTuple):
 
     cluster, anchor, cell (16,): where it is, anchor and cell -1 where none steers it; count, columns, total (16,):
     photons that steer it, with those without power behind them a multiple of 16, and the sum of their weights; cone
-    (16, CONES * blocks): of these cones the axis, 1 - cosine of the half angle, weight, and how dense their sampler is
-    inside, times share (16,) [1 / sr]; cdf (16, >= n): running sum of these weights; lane: rows of `mixture_rays`;
+    (16, CONES * blocks): of these cones the axis, 1 - cosine of the half angle, weight, and how strong they are in the
+    density, times share (16,) [1 / sr]; cdf (16, >= n): running sum of these weights; lane: rows of `mixture_rays`;
     codeword_distance (m,): search.
     """
 
@@ -85,7 +85,7 @@ def _turn(photons, columns, step, n, cone):
             weight = max(ZERO, n[0] * x + n[1] * y + n[2] * z) * power_of(photons, first + i)
             cone[own + X + i], cone[own + Y + i], cone[own + Z + i] = x, y, z
             cone[own + HEIGHT + i], cone[own + WEIGHT + i] = height, weight
-            cone[own + DENSITY + i] = weight / height if height > ZERO else ZERO
+            cone[own + STRENGTH + i] = weight * height * (ONE + HALF * height)
 
 
 @inline
@@ -105,7 +105,7 @@ def _weigh(scene, photons, count, columns, step, at, work, lane):
             if cone[own + WEIGHT] > ZERO:
                 f = vec.luminance(bsdf.evaluate(scene, at.material, at.n, at.wo, _axis(cone, own)))
                 cone[own + WEIGHT] *= f
-                cone[own + DENSITY] *= f
+                cone[own + STRENGTH] *= f
     total = ZERO
     for i in range(count):
         total += cone[place_of(i, CONES) + WEIGHT]
@@ -134,9 +134,14 @@ def weigh_cell(scene, maps, work, lane, at):
 
 @inline
 def in_cone(axis, height, u, v):
-    """Uniform direction in a cone; height: 1 - cosine of its half angle, for near 1 the cosine is too coarse in
-    float32."""
-    height *= u
+    """Direction about a cone: half of them, all but, lie inside, the others ever thinner farther out. height: 1 -
+    cosine of its half angle, for near 1 the cosine is too coarse in float32.
+
+    Its density falls with t, 1 - cosine of the way from the axis, as (height + t)^-2: Student's t, of two degrees of
+    freedom, over the plane. Where the photons err, their light is met by chance no more seldom than they err.
+    """
+    u *= TWO / (TWO + height)
+    height = min(TWO, height * u / (ONE - u))
     sine = math.sqrt(height * (TWO - height))
     c, s = turn(v)
     return vec.to_world((sine * c, sine * s, ONE - height), axis)
@@ -144,23 +149,24 @@ def in_cone(axis, height, u, v):
 
 @inline
 def choose_cone(work, lane, choice):
-    """A photon that steers a lane, chosen by weight, `total` > 0: direction, height of its cone and density in it."""
+    """A photon that steers a lane, chosen by weight, `total` > 0: direction and height of its cone."""
     i = pick(work.cdf[lane, : work.count[lane]], choice * work.total[lane])
     cone, at = work.cone[lane], place_of(i, CONES)
-    return _axis(cone, at), cone[at + HEIGHT], cone[at + DENSITY] * work.share[lane]
+    return _axis(cone, at), cone[at + HEIGHT]
 
 
 @inline
 def cones_pdf(work, lane, direction):
-    """Density of a uniform direction in the cone that `choose_cone` chooses."""
+    """Density of the direction `in_cone` of the cone that `choose_cone` chooses."""
     cone, density = work.cone[lane], ZERO
     for block in range(work.columns[lane] // LANES):
         own = CONES * block
         for i in range(LANES):
             a, b, c = vec.sub(_axis(cone, own + i), direction)
-            # By the chord, 2 (1 - cosine): a comparison of cosines would lose samples of narrow cones to rounding.
-            inside = a * a + b * b + c * c <= TWO * cone[own + HEIGHT + i]
-            density += cone[own + DENSITY + i] if inside else ZERO
+            # By the chord, of squared length 2 t: the difference of a cosine to 1 is all rounding for narrow cones.
+            reach = cone[own + HEIGHT + i] + HALF * (a * a + b * b + c * c)
+            strength = cone[own + STRENGTH + i]
+            density += strength / (reach * reach) if strength > ZERO else ZERO  # photons that are none have no axis
     return density * work.share[lane]
 
 

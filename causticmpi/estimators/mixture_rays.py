@@ -23,15 +23,14 @@ from causticmpi.preprocess.parallax import ROWS
 NORMAL, SHADE, KEY, RAY_KEY, CHOICE, COIN, U, V, DIRECTION, WEIGHT, SURVIVE, REACH, AXIS, HEIGHT, BIN, BRDF, STEERED = (
     LANES * row for row in (0, 3, 6, 8, 10, 11, 12, 13, 14, 17, 20, 21, 22, 25, 26, 27, 28)
 )
-COSINE, COUNT, OWN, _END = LANES * 29, LANES * 30, LANES * 31, LANES * 32
+COSINE, COUNT, _END = LANES * 29, LANES * 30, LANES * 31
 """Rows of a vertex that sends rays, as word offsets of the lanes in `MixtureWork.lane`.
 
 SHADE: throughput x Lambert's BRDF; KEY, RAY_KEY uint64: of the vertex and of its ray; COIN: above 0 where the ray goes
 by coarse directions; DIRECTION to REACH: the ray, as in `full_radiance.Rays`; AXIS, HEIGHT: the cone it is drawn from;
 BIN int32: of the coarse directions; BRDF: density of that sampler; STEERED: that of all others, times how often each is
-asked; COSINE: of direction and normal; COUNT int32: rays that the vertex sends; OWN: density of the cone that the ray
-is drawn from, 0 for none. The last of them are drawn from cones, the first `others` are not: one by the BRDF and one by
-coarse directions, or one of the two by the toss of a coin."""
+asked; COSINE: of direction and normal; COUNT int32: rays that the vertex sends. The last of them are drawn from cones,
+the first `others` are not: one by the BRDF and one by coarse directions, or one of the two by the toss of a coin."""
 
 
 def mixture_work(maps: ForecastMaps) -> cm.MixtureWork:
@@ -92,7 +91,6 @@ def draw(work, j):
         key = keys[RAY_KEY // 2 + i]
         lane[CHOICE + i], lane[SURVIVE + i] = rng.uniform2(key, fr.CHOICE)
         lane[U + i], lane[V + i] = rng.uniform2(key, fr.DIRECTION)
-        lane[OWN + i] = ZERO
 
 
 @inline
@@ -154,12 +152,12 @@ def by_cones(work, j, others):
     lane = near.lane
     words = lane.view(np.int32)
     for i in range(LANES):
-        axis, height, own = (ZERO, ZERO, ONE), ONE, ZERO
+        axis, height = (ZERO, ZERO, ONE), ONE
         if words[COUNT + i] > j:
             stratum = (np.float32(j - others) + lane[CHOICE + i]) / np.float32(words[COUNT + i] - others)
-            axis, height, own = cm.choose_cone(near, i, min(ALMOST_ONE, stratum))
+            axis, height = cm.choose_cone(near, i, min(ALMOST_ONE, stratum))
         put3(lane, AXIS, i, axis)
-        lane[HEIGHT + i], lane[OWN + i] = height, own
+        lane[HEIGHT + i] = height
     for i in range(LANES):
         put3(lane, DIRECTION, i, cm.in_cone(get3(lane, AXIS, i), lane[HEIGHT + i], lane[U + i], lane[V + i]))
 
@@ -188,10 +186,7 @@ def send(scene, maps, work, j, others, glossy):
             density = share * cm.coarse_density(maps, near.cluster[i], np.int64(words[BIN + i]))
             steered = words[COUNT + i] - others
             if steered > 0:
-                # The rounding of a direction at the rim of its own cone must not put it outside: no other sampler is
-                # nearly as dense there, and it would count too much.
-                inside = max(lane[OWN + i], cm.cones_pdf(near, i, get3(lane, DIRECTION, i)))
-                density += np.float32(steered) * inside
+                density += np.float32(steered) * cm.cones_pdf(near, i, get3(lane, DIRECTION, i))
             lane[STEERED + i] = density
     for i in range(LANES):
         density = share * lane[BRDF + i] + lane[STEERED + i]

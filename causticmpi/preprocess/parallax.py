@@ -28,9 +28,6 @@ _BEYOND_BITS = _BEYOND.view(np.int32)
 _LOWEST, _HIGHEST = np.float32(1 - math.cos(NARROWEST)), np.float32(1 - math.cos(WIDEST))
 FEWEST = 4
 """Photons below which nothing is known of how well they agree."""
-WIDER = np.float32(3)
-"""A cone is so many times as large as the one that reaches the last of the companions asked for: few of them make a
-noisy measure, more of them would be of other chains."""
 ALIKE = np.float32(8)
 """The size of a cone is the geometric mean of those around directions within a cone so many times as large."""
 
@@ -92,9 +89,9 @@ def _reach(x, y, z, count, companions, chord, height):
 
 @inline
 def _smooth(x, y, z, count, height, logarithm):
-    """Even out the heights of cones, wider by WIDER, among those that are alike. logarithm (>= count,): workspace."""
+    """Even out the heights of cones among those that are alike. logarithm (>= count,): workspace."""
     for i in range(count):
-        height[i] = min(max(WIDER * height[i], _LOWEST), _HIGHEST)
+        height[i] = min(max(height[i], _LOWEST), _HIGHEST)
         logarithm[i] = math.log(height[i])
     for i in range(count):
         total, alike = ZERO, ZERO
