@@ -250,7 +250,7 @@ def test_any_bound(half_white: SceneData, bound: float) -> None:
     ids=str,
 )
 def test_any_setting(half_white: SceneData, iws: dict, forecast: dict) -> None:
-    check(half_white, settings("iws+cf", iws, forecast), 2.0, 1400)
+    check(half_white, settings("iws+cf", iws, forecast), 2.0, 2800)
 
 
 def test_one_particle_path_a_pass(half_white: SceneData) -> None:

@@ -23,7 +23,8 @@ WITNESSES = 5
 """Photons of a chain that tell of it at a place, those nearest to it: chains with fewer tell nothing."""
 MOST_CHAINS = 32
 """Of each facing, the strongest: each costs a search for each anchor and cell."""
-_LEAST = np.float32(1e-30)
+_MOST = np.float32(1e6)
+"""The photon that stands for a chain has no more times its witnesses' power: they may all lie in one place."""
 
 
 class Chains(NamedTuple):
@@ -88,11 +89,11 @@ def part_chains(points: CausticPoints) -> Chains:
     name = facing.astype(np.int64) << 32 | points.chain.view(np.uint32)
     names, chain, counts = np.unique(name, return_inverse=True, return_counts=True)
     power = np.bincount(chain, weights=points.power, minlength=len(names))
+    telling = counts >= WITNESSES
     order = np.lexsort((-power, names >> 32))
-    place = np.arange(len(names)) - np.searchsorted(names[order] >> 32, names[order] >> 32)
-    telling = np.zeros(len(names), np.bool_)
+    order = order[telling[order]]
+    place = np.arange(len(order)) - np.searchsorted(names[order] >> 32, names[order] >> 32)
     telling[order] = place < MOST_CHAINS
-    telling &= counts >= WITNESSES
     chain = np.where(telling, np.cumsum(telling) - 1, -1)[chain].astype(np.int32)
     start = np.concatenate([[0], np.cumsum(counts[telling])]).astype(np.int64)
     point = np.argsort(chain, kind="stable").astype(np.int32)[len(chain) - start[-1] :]
@@ -136,7 +137,8 @@ def represent(chains, points, work, facing, p, enough, area, photon, first, room
         for i in range(WITNESSES):
             power += points.power[chains.point[work.row[i]]]
             closest = i if work.distance[i] < work.distance[closest] else closest
-        brightness = power * area / max(_LEAST, vec.PI * work.distance[0])
+        lit = vec.PI * work.distance[0]
+        brightness = power * (area / lit if area < _MOST * lit else _MOST)
         place = held
         if held == room:
             place = 0

@@ -19,7 +19,7 @@ class SceneData:
     spheres             (S, 4) float32: centre, radius
     primitive_material  (T+S,) int32: row of the material arrays
     primitive_emission  (T+S,) int32: row of `emission`, or -1
-    primitive_shape     (T+S,) int32: number of the shape of the scene file that it is of
+    primitive_shape     (T+S,) int32: number of its shape, triangles' first as primitives are
     material_kind       (M,) int32: see kernels.material_kinds
     material_reflectance(M, 3) float32: diffuse albedo, or reflectance of a mirror (1 for a dielectric)
     material_specular   (M, 3) float32: albedo of the Phong lobe (0 elsewhere)
