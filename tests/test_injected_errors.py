@@ -129,7 +129,7 @@ def test_lights_lost_behind_mirrors(
 
 
 MIXTURE_ERRORS = {
-    "no BRDF ray": [  # the weights count on a ray that is not sent; were they not to, cones, which have no rim, would do
+    "no BRDF ray": [  # weights count on a ray that is not sent; if they did not, cones, which have no rim, would do
         ("if (words[COUNT + i] > j) & (cosine", "if (j > 0) & (words[COUNT + i] > j) & (cosine"),
     ],
     "thin cones": [  # cones are sampled more often than the weights know; with none at all paths would never end
