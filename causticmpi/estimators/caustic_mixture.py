@@ -134,8 +134,8 @@ def weigh_cell(scene, maps, work, lane, at):
 
 @inline
 def in_cone(axis, height, u, v):
-    """Direction about a cone: half of them, all but, lie inside, the others ever thinner farther out. height: 1 -
-    cosine of its half angle, for near 1 the cosine is too coarse in float32.
+    """Direction around a cone: half of them or a little more lie inside, the others ever thinner farther out. height:
+    1 - cosine of its half angle, for near 1 the cosine is too coarse in float32.
 
     Its density falls with t, 1 - cosine of the way from the axis, as (height + t)^-2: Student's t, of two degrees of
     freedom, over the plane. Where the photons err, their light is met by chance no more seldom than they err.

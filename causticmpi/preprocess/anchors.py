@@ -1,4 +1,5 @@
-"""Anchors: places among the caustic points, each with the photons nearest to it, found once and for all passes.
+"""Anchors: places among the caustic points, each with the photons nearest to it and one of each chain that is rare
+there, found once and for all passes.
 
 A forecast is only a pdf: the neighbours of a place close by steer as well as one's own once their directions are turned
 to what they are here (parallax), and looking them up costs a walk down a tree instead of a search. The anchors lie as

@@ -1,4 +1,5 @@
-"""Cells: grids over the caustic points whose occupied cells remember a few photons each, found in O(1).
+"""Cells: grids over the caustic points whose occupied cells remember a few photons each, and one of each chain that is
+rare there, found in O(1).
 
 The middle level of the forecast: finer than a cluster's aggregated directions, coarser than anchors. It serves the
 vertices that no anchor reaches.
