@@ -9,7 +9,7 @@ from test_packed_photons import DIRECTION_ERROR, REAL_ERROR
 from test_parallax import naive_settle
 
 from causticmpi.kernels import vec
-from causticmpi.preprocess.anchors import COMPANIONS, REACH, RUN, SHORTEST, anchor_of
+from causticmpi.preprocess.anchors import COMPANIONS, MOST_RARE, REACH, RUN, SHORTEST, anchor_of
 from causticmpi.preprocess.chains import FACINGS, WITNESSES
 from causticmpi.preprocess.forecast import ForecastMaps, no_forecast
 from causticmpi.preprocess.packed_photons import unpacked_photons
@@ -110,14 +110,14 @@ def test_anchors_know_the_nearest_photons(maps: ForecastMaps) -> None:
             near = near[d2[near] < (REACH * maps.radius) ** 2]
             reach2 = d2[near[-1]] if len(near) == maps.neighbours else (REACH * maps.radius) ** 2
             near, place = own[near], maps.anchor[anchor]
-            room = photons.shape[2]
             few = np.concatenate([rows for rows in chains[facing].values() if np.isin(near, rows).sum() < WITNESSES])
             common = near[~np.isin(near, few)]
-            expected = naive_represent(grey, chains[facing], near, place, WITNESSES, np.pi * reach2, room - len(common))
+            room = min(MOST_RARE, photons.shape[2] - len(common))
+            expected = naive_represent(grey, chains[facing], near, place, WITNESSES, np.pi * reach2, room)
             held = len(expected)
             assert count == held + len(common)
             stood.append(assert_stand_for(photons[anchor, :, :held].T, expected, REAL_ERROR, 1e-6 + DIRECTION_ERROR))
-            rare.append((held, len(near) - len(common), len(near) == maps.neighbours, held == room - len(common)))
+            rare.append((held, len(near) - len(common), len(near) == maps.neighbours, held == room))
             near = common[np.argsort(LUMINANCE[common])]
             found = photons[anchor, :, held:count].T
             found = found[np.argsort(found[:, POWER])]

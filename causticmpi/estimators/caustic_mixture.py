@@ -34,7 +34,7 @@ packed photons do."""
 class MixtureWork(NamedTuple):
     """Workspace, most of it by lane: a vertex that sends its rays.
 
-    cluster, anchor, cell (16,): where it is, anchor and cell -1 where none steers it; count, columns, total (16,):
+    cluster, anchor (16,): where it is, anchor -1 where none steers it; count, columns, total (16,):
     photons that steer it, with those without power behind them a multiple of 16, and the sum of their weights; cone
     (16, CONES * blocks): of these cones the axis, 1 - cosine of the half angle, weight, and how strong they are in the
     density, times share (16,) [1 / sr]; cdf (16, >= n): running sum of these weights; lane: rows of `mixture_rays`;
@@ -43,7 +43,6 @@ class MixtureWork(NamedTuple):
 
     cluster: Any
     anchor: Any
-    cell: Any
     count: Any
     columns: Any
     total: Any
@@ -82,6 +81,7 @@ def _turn(photons, columns, step, n, cone):
         for i in range(LANES):  # all in one: loops as short as its parts are unrolled, and are not vector code then
             x, y, z = turned_packed(photons, first + i, step)
             height = height_of(photons, first + i)
+            # Photons that are none have no direction but NaN: of it and ZERO, in this order, `max` takes ZERO.
             weight = max(ZERO, n[0] * x + n[1] * y + n[2] * z) * power_of(photons, first + i)
             cone[own + X + i], cone[own + Y + i], cone[own + Z + i] = x, y, z
             cone[own + HEIGHT + i], cone[own + WEIGHT + i] = height, weight
@@ -125,9 +125,8 @@ def weigh_anchor(scene, maps, work, lane, at, columns):
 
 
 @inline
-def weigh_cell(scene, maps, work, lane, at):
-    """The photons of a lane's cell steer it. Returns whether one counts there."""
-    cell = work.cell[lane]
+def weigh_cell(scene, maps, work, lane, cell, at):
+    """The photons of a cell steer a lane. Returns whether one counts there."""
     step = vec.sub(at.p, vec.row(maps.cell, cell))
     return _weigh(scene, maps.cell_photon[cell], KEPT, KEPT, step, at, work, lane)
 

@@ -27,7 +27,8 @@ from causticmpi.preprocess.forecast import cluster_of
 DEEP_RAYS = 2
 """Rays of a deeper vertex by the photons of its anchor or cell."""
 DEEP_PHOTONS = 32
-"""Photons of its anchor that steer it, of 50: they come from far away in memory; the noise is the same."""
+"""Photons of its anchor that steer it, those of rare chains first: they come from far away in memory, and with more of
+them the noise is the same."""
 
 
 @inline
@@ -59,11 +60,10 @@ def _foresee_tile(maps, work):
 def _find_photons(scene, maps, near, i, at, columns):
     """The photons that steer vertex i: the first `columns` of its anchor, if one of them counts there, else those of
     its cell. Returns whether there are any."""
-    near.cell[i] = -1
     if near.anchor[i] >= 0 and cm.weigh_anchor(scene, maps, near, i, at, columns):
         return True
-    near.anchor[i], near.cell[i] = -1, cell_of(maps, at.p, at.n)
-    return near.cell[i] >= 0 and cm.weigh_cell(scene, maps, near, i, at)
+    near.anchor[i], cell = -1, cell_of(maps, at.p, at.n)
+    return cell >= 0 and cm.weigh_cell(scene, maps, near, i, cell, at)
 
 
 @inline

@@ -1,8 +1,8 @@
 """The rays of up to 16 vertices by the mixture of samplers (caustic_mixture), side by side: the j-th of all at once.
 
 Loops over lanes that read nothing but `MixtureWork.lane` become vector code; what must ask tables, or has gloss, is
-done lane by lane in loops of its own. Vertex i is row i of `work.now`, and its samplers are told by `cluster`,
-`anchor` and `cell` of `work.forecast`.
+done lane by lane in loops of its own. Vertex i is row i of `work.now`, and its samplers are told by `cluster` and
+the cones of `work.forecast`.
 """
 
 import numpy as np
@@ -39,7 +39,6 @@ def mixture_work(maps: ForecastMaps) -> cm.MixtureWork:
     return cm.MixtureWork(
         cluster=np.zeros(LANES, np.int64),
         anchor=np.zeros(LANES, np.int64),
-        cell=np.zeros(LANES, np.int64),
         count=np.zeros(LANES, np.int64),
         columns=np.zeros(LANES, np.int64),
         total=np.zeros(LANES, np.float32),

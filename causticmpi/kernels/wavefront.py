@@ -31,6 +31,7 @@ CURVATURE, CHAIN_NAME = at.PACKETS, at.PACKETS + LANES * ENTRIES
 """Their rows in the lanes of particles, which send no packets of their own: the curvature, and int32 that tells the
 shapes and whether they reflected or let through, since the light or the last non-specular vertex."""
 CARRIED = ENTRIES + 1
+"""Rows that a particle carries."""
 _LEAST = np.float32(1e-6)
 """Focus and grazing rays: what is divided by is no closer to 0."""
 _NEAREST = np.float32(1e-12)

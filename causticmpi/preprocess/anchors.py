@@ -27,8 +27,9 @@ SHORTEST = RUN // 2
 REACH = np.float32(1.75)
 """How far an anchor speaks, and the photons it knows lie from it, over the search radius: from farther off they steer
 worse than the cells of a coarser grid do."""
-FEWEST_RARE = 8
-"""Columns at least, besides those of the nearest, for photons of rare chains."""
+FEWEST_RARE, MOST_RARE = 8, 16
+"""Columns at least, besides those of the nearest, for photons of rare chains, and such photons at most: deeper vertices
+ask 32 columns, which they come first in."""
 COMPANIONS = 4
 """Other photons of the anchor that tell how wide a photon's cone is (parallax)."""
 
@@ -86,7 +87,7 @@ def _gather(trees, run, anchor_start, radius2, points, chains, anchor, packed, c
     """Fill anchor (anchors, 3), packed (anchors, BLOCK * blocks), all 0, and count (anchors,) from the trees.
 
     trees: x, y, z, axis, start and the caustic point of each row; search: distance, row (n,), stack and plane of
-    `nearest`; work: witnesses, photon (ROWS, n), one for chains (ROWS, columns), offset (3, n), workspace of `settle`.
+    `nearest`; work: witnesses, photon (ROWS, n), one for chains (ROWS, MOST_RARE), offset (3, n), work of `settle`.
     """
     x, y, z, axis, start, point = trees
     distance, row, stack, plane = search
@@ -110,7 +111,7 @@ def _gather(trees, run, anchor_start, radius2, points, chains, anchor, packed, c
                     common += 1
             settle(photon, offset, common, COMPANIONS, rest)
             area = vec.PI * (distance[0] if found == row.shape[0] else radius2)
-            room = rare.shape[1] - common
+            room = min(MOST_RARE, packed.shape[1] // ROWS - common)
             held = represent(chains, points, told, tree, p, WITNESSES, area, rare, 0, room)
             # Those of rare chains first: deeper vertices go by the first photons alone.
             pack(rare, held, packed[a], 0)
@@ -149,8 +150,8 @@ def build_anchors(points: CausticPoints, chains: Chains, radius: float, neighbou
         np.zeros(2 * MAX_DEPTH, np.int32),
         np.zeros(MAX_DEPTH, np.float32),
     )
-    shapes = (ROWS, neighbours), (ROWS, room), (3, neighbours), (5, neighbours)
-    work = witnesses(chains, room), *(np.zeros(shape, np.float32) for shape in shapes)
+    shapes = (ROWS, neighbours), (ROWS, MOST_RARE), (3, neighbours), (5, neighbours)
+    work = witnesses(chains, MOST_RARE), *(np.zeros(shape, np.float32) for shape in shapes)
     radius2 = (REACH * np.float32(radius)) ** 2
     _gather(trees, run, anchor_start, radius2, points, chains, anchor, packed, count, search, work)
     return {

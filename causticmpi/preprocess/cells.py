@@ -18,8 +18,8 @@ from causticmpi.preprocess.parallax import CURVATURE, DIRECTION, POWER, ROWS, se
 from causticmpi.preprocess.photons import CausticPoints
 
 DRAWN, KEPT = 16, 32
-"""Photons of a cell: drawn from its own in proportion to power, and with those that stand for chains of which there are
-none among them."""
+"""Photons of a cell: drawn from its own in proportion to power, and with those that stand for chains of which few are
+among them."""
 FEWEST = 4
 """Photons below which a cell says nothing."""
 KNOWN = 4
@@ -84,14 +84,14 @@ def cell_edge(radius: float, neighbours: int) -> float:
 
 @kernel
 def _represent_all(chains, points, cell, facing, area, chosen, photon, work):
-    """Photons of rare chains for all cells, behind those drawn: cell (cells, 3), facing, area (cells,), chosen (cells,
-    DRAWN): rows of these, photon (cells, ROWS, KEPT)."""
+    """Photons of rare chains for all cells, behind those drawn: cell (cells, 3), facing (cells,), chosen (cells,
+    DRAWN): rows of these, photon (cells, ROWS, KEPT); area: of a cell."""
     for i in range(cell.shape[0]):
         forget(chains, work, facing[i])
         for k in range(DRAWN):
             witness(chains, work, chosen[i, k])
         p = (cell[i, 0], cell[i, 1], cell[i, 2])
-        represent(chains, points, work, facing[i], p, KNOWN, area[i], photon[i], DRAWN, KEPT - DRAWN)
+        represent(chains, points, work, facing[i], p, KNOWN, area, photon[i], DRAWN, KEPT - DRAWN)
 
 
 def build_cells(points: CausticPoints, chains: Chains, size: float) -> dict[str, Any]:
@@ -109,12 +109,13 @@ def build_cells(points: CausticPoints, chains: Chains, size: float) -> dict[str,
         "cell_key": table,
         "cell_row": row,
         "cell": centres,
-        "cell_photon": packed_photons(photons),
+        "cell_photon": photons,
     }
 
 
 def _level(points: CausticPoints, chains: Chains, size: float, level: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Keys (cells,), middles (cells, 3) and photons (cells, ROWS, KEPT) of the cells of a level with enough photons."""
+    """Keys (cells,), middles (cells, 3) and packed photons (cells, ROWS * KEPT) of the cells of a level that have
+    enough."""
     position, normal, direction, power, curvature, _ = points
     keys = np.empty(len(power), np.uint64)
     _keys(size, level, position, normal, keys)
@@ -131,7 +132,7 @@ def _level(points: CausticPoints, chains: Chains, size: float, level: int) -> tu
     drawn = np.zeros((len(found), ROWS, DRAWN), np.float32)
     drawn[:, DIRECTION : DIRECTION + 3] = direction[chosen].transpose(0, 2, 1)
     drawn[:, CURVATURE:] = curvature[chosen].transpose(0, 2, 1)
-    drawn[:, POWER] = 1
+    drawn[:, POWER] = ((high - low) / DRAWN)[:, None]
     centre = position[chosen].mean(axis=1, dtype=np.float64).astype(np.float32)
     offset = np.ascontiguousarray((centre[:, None] - position[chosen]).transpose(0, 2, 1), np.float32)
     repeats = -(-DRAWN // np.minimum(counts, DRAWN))
@@ -139,10 +140,9 @@ def _level(points: CausticPoints, chains: Chains, size: float, level: int) -> tu
     settle_all(drawn, offset, companions, np.zeros((5, DRAWN), np.float32))
     photon = np.zeros((len(found), ROWS, KEPT), np.float32)
     photon[:, :, :DRAWN] = drawn
-    area = (DRAWN * size**2 / (high - low)).astype(np.float32)  # the power of those drawn is 1
     work = witnesses(chains, KEPT - DRAWN)
-    _represent_all(chains, points, centre, chains.facing[order[first]], area, chosen, photon, work)
-    return found, centre, photon
+    _represent_all(chains, points, centre, chains.facing[order[first]], np.float32(size**2), chosen, photon, work)
+    return found, centre, packed_photons(photon)
 
 
 def no_cells() -> dict[str, Any]:

@@ -4,7 +4,9 @@ The photons nearest to a place are of its brightest chains. Of a faint one, such
 mirror, there may be none among them, and a ray that meets the lamp by it all the same, by chance, counts as much as
 thousands of others. The light of each chain seems to come from one image of its lamp, however, so that a photon of it
 that landed far away tells the direction here too, once it is turned (parallax), and how dense the photons of the chain
-lie tells how bright it is.
+lie tells how bright it is. (A chain is known by its shapes alone: two lamps by way of one ball, or two faces of one
+prism, are one chain with two images, and one that begins at a wall has no image; its witnesses then disagree, and the
+cone is as wide as that.)
 """
 
 from typing import Any, NamedTuple

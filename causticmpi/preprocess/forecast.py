@@ -33,8 +33,8 @@ class ForecastMaps(NamedTuple):
     coarse (m, bins) float32: running sums of each cluster's directions (see directions.py)
     tree_x, tree_y, tree_z (n,) float32, tree_axis (n,) uint8, tree_start (7,) int64: trees over all caustic points, by
     the way their surface faces; anchor_start (7,) int64: the anchors of each; anchor (anchors, 3) float32,
-    anchor_photon (anchors, ROWS times n or more) int16: where they are and the photons nearest to each (see parallax.py
-    and packed_photons.py); anchor_count (anchors,) int32: how many they are (see anchors.py)
+    anchor_photon (anchors, ROWS times n or more) int16: where they are and photons of rare chains and the nearest
+    others (see parallax.py and packed_photons.py); anchor_count (anchors,) int32: how many they are (see anchors.py)
     cell_size [scene units]; cell_key, cell_row (2^k,): hash table of occupied cells; cell (cells, 3) float32,
     cell_photon (cells, ROWS * KEPT) int16: the middle of each and photons that stand for it (see cells.py)
     normal_scale, radius: scene units; columns, rows: bins of the directional tables; neighbours: n

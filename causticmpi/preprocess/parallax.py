@@ -21,7 +21,7 @@ curvature."""
 MOST_TURN = np.float32(0.7)
 """A direction is turned by no more [tangent]: next to a focus the curvature holds for a step too small to matter."""
 NARROWEST, WIDEST = math.radians(0.05), math.radians(30.0)
-"""Half angles of cones, at least and at most."""
+"""Half angles of cones, at least and at most: about half of the directions drawn from one lie within."""
 _BEYOND = np.float32(3)
 """More than 1 - cosine of any two directions."""
 _BEYOND_BITS = _BEYOND.view(np.int32)
