@@ -129,17 +129,15 @@ def _level(points: CausticPoints, chains: Chains, size: float, level: int) -> tu
     marks = low[:, None] + (high - low)[:, None] * ((np.arange(DRAWN) + 0.5) / DRAWN)
     chosen = np.searchsorted(running, marks, side="right") - 1
     chosen = order[np.clip(chosen, first[:, None], (first + counts - 1)[:, None])]
-    drawn = np.zeros((len(found), ROWS, DRAWN), np.float32)
-    drawn[:, DIRECTION : DIRECTION + 3] = direction[chosen].transpose(0, 2, 1)
-    drawn[:, CURVATURE:] = curvature[chosen].transpose(0, 2, 1)
-    drawn[:, POWER] = ((high - low) / DRAWN)[:, None]
+    photon = np.zeros((len(found), ROWS, KEPT), np.float32)
+    photon[:, DIRECTION : DIRECTION + 3, :DRAWN] = direction[chosen].transpose(0, 2, 1)
+    photon[:, CURVATURE:, :DRAWN] = curvature[chosen].transpose(0, 2, 1)
+    photon[:, POWER, :DRAWN] = ((high - low) / DRAWN)[:, None]
     centre = position[chosen].mean(axis=1, dtype=np.float64).astype(np.float32)
     offset = np.ascontiguousarray((centre[:, None] - position[chosen]).transpose(0, 2, 1), np.float32)
     repeats = -(-DRAWN // np.minimum(counts, DRAWN))
     companions = np.minimum(DRAWN - 1, repeats * (1 + COMPANIONS) - 1)
-    settle_all(drawn, offset, companions, np.zeros((5, DRAWN), np.float32))
-    photon = np.zeros((len(found), ROWS, KEPT), np.float32)
-    photon[:, :, :DRAWN] = drawn
+    settle_all(photon, offset, companions, np.zeros((5, DRAWN), np.float32))
     work = witnesses(chains, KEPT - DRAWN)
     _represent_all(chains, points, centre, chains.facing[order[first]], np.float32(size**2), chosen, photon, work)
     return found, centre, packed_photons(photon)

@@ -140,6 +140,7 @@ def settle(photon, offset, count, companions, work):
 
 @kernel
 def settle_all(photon, offset, companions, work):
-    """`settle` for all photons of places: photon (places, ROWS, n), offset (places, 3, n), companions (places,)."""
+    """`settle` for the first n photons of places: photon (places, ROWS, >= n), offset (places, 3, n), companions
+    (places,)."""
     for place in range(photon.shape[0]):
-        settle(photon[place], offset[place], photon.shape[2], companions[place], work)
+        settle(photon[place], offset[place], offset.shape[2], companions[place], work)
