@@ -21,6 +21,16 @@ def run_nearest(x, y, z, axis, low, high, points, radius2, most, rows, distances
         rows[i, :k], distances[i, :k] = row[:k], distance[:k]
 
 
+@numba.njit
+def run_nearest_in_boxes(x, y, z, box, low, high, points, most, rows, distances):
+    distance, row = np.empty(most, np.float32), np.empty(most, np.int64)
+    stack, gap = np.empty(2 * kdtree.MAX_DEPTH, np.int32), np.empty(kdtree.MAX_DEPTH, np.float32)
+    for i in range(points.shape[0]):
+        p = vec.row(points, i)
+        k = kdtree.nearest_in_boxes(x, y, z, box, low, high, p, most, distance, row, stack, gap)
+        rows[i, :k], distances[i, :k] = row[:k], distance[:k]
+
+
 class Trees:
     """Trees over runs of points (n, 3), as the forecast maps hold them."""
 
@@ -43,6 +53,16 @@ class Trees:
         run_nearest(self.x, self.y, self.z, self.axis, low, high, *arguments)
         assert (rows[rows >= 0] >= low).all() and (rows[rows >= 0] < high).all()
         return np.where(rows >= 0, self.order[rows], -1), distances, found
+
+    def query_in_boxes(self, p: np.ndarray, most: int, tree: int = 0) -> tuple[np.ndarray, np.ndarray]:
+        """The first two of `query`, however far."""
+        rows, distances = np.full((len(p), most), -1, np.int64), np.full((len(p), most), np.inf, np.float32)
+        box = np.full((len(self.x), 6), np.nan, np.float32)
+        kdtree.box_runs(self.x, self.y, self.z, self.starts, box, np.zeros(2 * kdtree.MAX_DEPTH, np.int64))
+        low, high = self.starts[tree], self.starts[tree + 1]
+        run_nearest_in_boxes(self.x, self.y, self.z, box, low, high, np.float32(p), most, rows, distances)
+        assert (rows[rows >= 0] >= low).all() and (rows[rows >= 0] < high).all()
+        return np.where(rows >= 0, self.order[rows], -1), distances
 
 
 def clustered(n: int) -> np.ndarray:
@@ -108,6 +128,19 @@ def test_against_brute_force(name: str, radius: float) -> None:
         check(distances, points, few, radius, most, rows)
 
 
+@pytest.mark.parametrize("name", CLOUDS)
+def test_in_boxes_against_brute_force(name: str) -> None:
+    """From among the points, beside them and far outside."""
+    trees = Trees(CLOUDS[name])
+    points = trees.points.astype(np.float64)
+    p = queries(points)
+    p[::5] += np.random.default_rng(8).normal(size=p[::5].shape).astype(np.float32)
+    for most in (1, 5, MOST, 4000):
+        few = p if most <= MOST else p[:10]
+        rows, distances = trees.query_in_boxes(few, most)
+        check(distances, points, few, np.inf, most, rows)
+
+
 def test_against_scipy() -> None:
     points = clustered(50_000).astype(np.float32)
     p = queries(points, 2000)
@@ -136,6 +169,20 @@ def test_several_trees() -> None:
         points[trees.before[members]] = UNIT.astype(np.float32)[trees.before[members]]
         check(np.where(np.isfinite(distances), distances, np.inf), points, p, 0.3, MOST, rows)
         assert found.max(initial=0) <= sizes[tree]
+
+
+def test_boxes_of_several_trees() -> None:
+    sizes = [400, 1, kdtree.LEAF, 2500]
+    order = np.concatenate([np.random.default_rng(7).choice(3000, size, replace=False) for size in sizes])
+    starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+    trees = Trees(UNIT, starts, order)
+    for tree in range(len(sizes)):
+        p = queries(UNIT, 60)
+        rows, distances = trees.query_in_boxes(p, MOST, tree)
+        points = np.full((3000, 3), 1e9)
+        members = trees.before[starts[tree] : starts[tree + 1]]
+        points[members] = UNIT.astype(np.float32)[members]
+        check(distances, points, p, 1e6, MOST, rows)
 
 
 @pytest.mark.parametrize("name", CLOUDS)

@@ -78,6 +78,7 @@ KERNELS = [
     parallax.settle_all,
     packed_photons._pack_all,
     kdtree.build_trees,
+    kdtree.box_runs,
     film._accumulate,
     film._accumulate_light,
     precision._group_variance,

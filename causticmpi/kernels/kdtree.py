@@ -7,7 +7,7 @@ those after it on the upper side, and both are trees again. Runs of at most LEAF
 import numpy as np
 
 from causticmpi.kernels.jit import inline, kernel
-from causticmpi.kernels.vec import ZERO
+from causticmpi.kernels.vec import INFINITY, ZERO
 
 LEAF = 12
 MAX_DEPTH = 64
@@ -182,4 +182,71 @@ def nearest(x, y, z, axis, low, high, p, radius2, most, distance, row, stack, pl
                 a = middle + 1
         for i in range(a, b):
             found, radius2 = _offer(x, y, z, i, p, radius2, most, distance, row, found)
+    return found
+
+
+@kernel
+def box_runs(x, y, z, starts, box, stack):
+    """Boxes around the runs of the trees over rows starts[i] … starts[i+1], none empty, for `nearest_in_boxes`.
+
+    x, y, z (k,) float32 in tree order; box (k, 6) float32: least and greatest x, y and z of each run that the search
+    comes to, in its middle row, filled here; stack (2 * MAX_DEPTH,) int64: workspace.
+    """
+    for tree in range(starts.shape[0] - 1):
+        top = 0
+        stack[0], stack[1] = starts[tree], starts[tree + 1]
+        while top >= 0:
+            low, high = stack[2 * top], stack[2 * top + 1]
+            top -= 1
+            middle = (low + high) >> 1
+            for c, of in enumerate((x, y, z)):
+                least = greatest = of[middle]
+                for i in range(low, high):
+                    least = min(least, of[i])
+                    greatest = max(greatest, of[i])
+                box[middle, 2 * c], box[middle, 2 * c + 1] = least, greatest
+            if high - low > LEAF:
+                stack[2 * top + 2], stack[2 * top + 3] = low, middle
+                stack[2 * top + 4], stack[2 * top + 5] = middle + 1, high
+                top += 2
+
+
+@inline
+def _box_gap2(box, low, high, p):
+    """Squared distance of p from the box around rows [low, high)."""
+    i = (low + high) >> 1
+    x = max(box[i, 0] - p[0], p[0] - box[i, 1], ZERO)
+    y = max(box[i, 2] - p[1], p[1] - box[i, 3], ZERO)
+    z = max(box[i, 4] - p[2], p[2] - box[i, 5], ZERO)
+    return x * x + y * y + z * z
+
+
+@inline
+def nearest_in_boxes(x, y, z, box, low, high, p, most, distance, row, stack, gap):
+    """The `most` nearest points to p of the tree over rows [low, high), however far; found as in `nearest`.
+
+    Seen from outside a dense patch its rim is hardly farther than the nearest point, and planes part little of it from
+    p: boxes around the runs do.
+    """
+    found, radius2 = 0, INFINITY
+    top = 0
+    stack[0], stack[1], gap[0] = low, high, ZERO
+    while top >= 0:
+        a, b = np.int64(stack[2 * top]), np.int64(stack[2 * top + 1])
+        near2 = gap[top]
+        top -= 1
+        while b - a > LEAF and near2 < radius2:
+            middle = (a + b) >> 1
+            found, radius2 = _offer(x, y, z, middle, p, radius2, most, distance, row, found)
+            below2, above2 = _box_gap2(box, a, middle, p), _box_gap2(box, middle + 1, b, p)
+            top += 1
+            if below2 < above2:
+                stack[2 * top], stack[2 * top + 1], gap[top] = middle + 1, b, above2
+                b, near2 = middle, below2
+            else:
+                stack[2 * top], stack[2 * top + 1], gap[top] = a, middle, below2
+                a, near2 = middle + 1, above2
+        if near2 < radius2:
+            for i in range(a, b):
+                found, radius2 = _offer(x, y, z, i, p, radius2, most, distance, row, found)
     return found

@@ -15,7 +15,7 @@ import numpy as np
 
 from causticmpi.kernels import vec
 from causticmpi.kernels.jit import inline, kernel
-from causticmpi.kernels.kdtree import MAX_DEPTH, build_trees, nearest
+from causticmpi.kernels.kdtree import MAX_DEPTH, box_runs, build_trees, nearest_in_boxes
 from causticmpi.kernels.vec import ZERO
 from causticmpi.preprocess.parallax import POWER, ROWS, lay, settle
 from causticmpi.preprocess.photons import CausticPoints
@@ -34,7 +34,7 @@ class Chains(NamedTuple):
 
     facing (n,) int8: the half axis that the surface of a caustic point faces; chain (n,) int32: row of its chain, -1
     for none. Per chain: start (m + 1,) int64, rows of its tree; by facing: first (7,) int64, rows of its chains.
-    x, y, z (k,) float32, axis (k,) uint8, point (k,) int32: the trees, and the caustic point of each of their rows.
+    x, y, z (k,) float32, box (k, 6) float32, point (k,) int32: the trees, and the caustic point of each of their rows.
     """
 
     facing: Any
@@ -44,13 +44,14 @@ class Chains(NamedTuple):
     x: Any
     y: Any
     z: Any
-    axis: Any
+    box: Any
     point: Any
 
 
 class Witnesses(NamedTuple):
     """Workspace: known (m,): photons of each chain that a place has already; brightness (room,): of the chains that
-    photons stand for; photon (ROWS, WITNESSES), offset and rest, for `settle`; distance to plane, for `nearest`."""
+    photons stand for; photon (ROWS, WITNESSES), offset and rest, for `settle`; distance to gap, for the
+    search."""
 
     known: Any
     brightness: Any
@@ -60,7 +61,7 @@ class Witnesses(NamedTuple):
     distance: Any
     row: Any
     stack: Any
-    plane: Any
+    gap: Any
 
 
 def witnesses(chains: Chains, room: int) -> Witnesses:
@@ -74,7 +75,7 @@ def witnesses(chains: Chains, room: int) -> Witnesses:
         distance=np.zeros(WITNESSES, np.float32),
         row=np.zeros(WITNESSES, np.int64),
         stack=np.zeros(2 * MAX_DEPTH, np.int32),
-        plane=np.zeros(MAX_DEPTH, np.float32),
+        gap=np.zeros(MAX_DEPTH, np.float32),
     )
 
 
@@ -102,8 +103,10 @@ def part_chains(points: CausticPoints) -> Chains:
     axis, columns = np.zeros(len(point), np.uint8), np.ascontiguousarray(points.position.T)
     build_trees(columns, start, point, axis, np.zeros(2 * MAX_DEPTH, np.int64))
     x, y, z = np.take(columns, point, axis=1)
+    box = np.zeros((len(point), 6), np.float32)
+    box_runs(x, y, z, start, box, np.zeros(2 * MAX_DEPTH, np.int64))
     first = np.searchsorted(names[telling] >> 32, np.arange(FACINGS + 1)).astype(np.int64)
-    return Chains(facing, chain, first, start, x, y, z, axis, point)
+    return Chains(facing, chain, first, start, x, y, z, box, point)
 
 
 @inline
@@ -125,16 +128,16 @@ def represent(chains, points, work, facing, p, enough, area, photon, first, room
     """Fill photons first … first + room - 1 of a place p, photon (ROWS, >= first + room), by such as stand for the
     chains of a facing of which fewer than `enough` are known: of the brightest if there are more.
 
-    points: caustic points as flat arrays; area: that over which a photon already there has its power [units²]. Returns
-    how many there are.
+    points: caustic points as flat arrays; area: that over which a photon already there has its power [units²]; room:
+    at least 1. Returns how many there are.
     """
     held = 0
     for chain in range(chains.first[facing], chains.first[facing + 1]):
         if work.known[chain] >= enough:
             continue
         low, high = chains.start[chain], chains.start[chain + 1]
-        trees = chains.x, chains.y, chains.z, chains.axis
-        nearest(*trees, low, high, p, vec.INFINITY, WITNESSES, work.distance, work.row, work.stack, work.plane)
+        trees = chains.x, chains.y, chains.z, chains.box
+        nearest_in_boxes(*trees, low, high, p, WITNESSES, work.distance, work.row, work.stack, work.gap)
         power, closest = ZERO, 0
         for i in range(WITNESSES):
             power += points.power[chains.point[work.row[i]]]
@@ -146,7 +149,7 @@ def represent(chains, points, work, facing, p, enough, area, photon, first, room
             place = 0
             for i in range(room):
                 place = i if work.brightness[i] < work.brightness[place] else place
-            if room == 0 or work.brightness[place] >= brightness:
+            if work.brightness[place] >= brightness:
                 continue
         for i in range(WITNESSES):
             lay(work.photon, work.offset, i, points, chains.point[work.row[i]], p)
