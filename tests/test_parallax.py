@@ -208,17 +208,3 @@ def test_the_wrong_curvature_is_not_followed() -> None:
     curvature = (0.5 * generator.normal(size=(30, 6))).astype(np.float32)
     found = settled(direction, curvature, (0.1 * generator.normal(size=(30, 3))).astype(np.float32), 4)
     assert np.array_equal(found[:, :3], direction) and (found[:, CURVATURE:] == 0).all()
-
-
-def test_all_places_are_settled() -> None:
-    generator = np.random.default_rng(6)
-    photon = np.zeros((7, ROWS, 16), np.float32)
-    photon[:, :3] = naive.unit([0, 0, 1] + 0.3 * generator.normal(size=(7, 16, 3))).transpose(0, 2, 1)
-    photon[:, CURVATURE:] = generator.normal(size=(7, 6, 16))
-    offset = (0.1 * generator.normal(size=(7, 3, 16))).astype(np.float32)
-    companions = np.arange(1, 8)
-    one_by_one = photon.copy()
-    for place in range(7):
-        run_settle(one_by_one[place], offset[place], 16, companions[place], np.zeros((5, 16), np.float32))
-    parallax.settle_all(photon, offset, companions, np.zeros((5, 16), np.float32))
-    np.testing.assert_allclose(photon, one_by_one, rtol=1e-6, atol=1e-9)

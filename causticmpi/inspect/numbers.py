@@ -8,7 +8,7 @@ import numpy as np
 from causticmpi.distributed.usage import peak_memory_mb
 from causticmpi.inspect.findings import Findings
 from causticmpi.preprocess.forecast import CULLED
-from causticmpi.preprocess.packed_photons import unpacked_photons
+from causticmpi.preprocess.packed_photons import unpacked_row
 from causticmpi.preprocess.parallax import HEIGHT
 from causticmpi.scene.data import SceneData
 
@@ -82,7 +82,7 @@ def _clusters(found: Findings) -> dict[str, Any]:
     held = np.diff(maps.start)
     ranked = statistics.rank <= maps.max_rank
     radius = np.sqrt(statistics.area / np.pi)
-    height = unpacked_photons(maps.anchor_photon)[:, HEIGHT].astype(np.float64)
+    height = unpacked_row(maps.anchor_photon, HEIGHT).astype(np.float64)
     cone = np.degrees(np.arccos(1 - height[height > 0]))
     by_rank = []
     for rank in np.unique(statistics.rank).tolist():

@@ -14,7 +14,7 @@ from causticmpi.kernels import rng, vec
 from causticmpi.kernels.jit import inline, kernel
 from causticmpi.preprocess.chains import Chains, forget, represent, witness, witnesses
 from causticmpi.preprocess.packed_photons import no_photons, packed_photons
-from causticmpi.preprocess.parallax import CURVATURE, DIRECTION, POWER, ROWS, settle_all
+from causticmpi.preprocess.parallax import POWER, ROWS, lay, settle
 from causticmpi.preprocess.photons import CausticPoints
 
 DRAWN, KEPT = 16, 32
@@ -83,15 +83,22 @@ def cell_edge(radius: float, neighbours: int) -> float:
 
 
 @kernel
-def _represent_all(chains, points, cell, facing, area, chosen, photon, work):
-    """Photons of rare chains for all cells, behind those drawn: cell (cells, 3), facing (cells,), chosen (cells,
-    DRAWN): rows of these, photon (cells, ROWS, KEPT); area: of a cell."""
+def _gather(chains, points, cell, facing, area, chosen, each, companions, photon, work):
+    """Fill photon (cells, ROWS, KEPT), all 0: those drawn for all cells, and behind them such as stand for rare chains.
+
+    cell (cells, 3), facing (cells,); area: of a cell; chosen (cells, DRAWN): rows of the photons drawn; each (cells,):
+    their power; companions (cells,); work: witnesses, offset (3, DRAWN) and rest, for `settle`.
+    """
+    told, offset, rest = work
     for i in range(cell.shape[0]):
-        forget(chains, work, facing[i])
-        for k in range(DRAWN):
-            witness(chains, work, chosen[i, k])
         p = (cell[i, 0], cell[i, 1], cell[i, 2])
-        represent(chains, points, work, facing[i], p, KNOWN, area, photon[i], DRAWN, KEPT - DRAWN)
+        forget(chains, told, facing[i])
+        for k in range(DRAWN):
+            witness(chains, told, chosen[i, k])
+            lay(photon[i], offset, k, points, chosen[i, k], p)
+            photon[i, POWER, k] = each[i]
+        settle(photon[i], offset, DRAWN, companions[i], rest)
+        represent(chains, points, told, facing[i], p, KNOWN, area, photon[i], DRAWN, KEPT - DRAWN)
 
 
 def build_cells(points: CausticPoints, chains: Chains, size: float) -> dict[str, Any]:
@@ -116,7 +123,7 @@ def build_cells(points: CausticPoints, chains: Chains, size: float) -> dict[str,
 def _level(points: CausticPoints, chains: Chains, size: float, level: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Keys (cells,), middles (cells, 3) and packed photons (cells, ROWS * KEPT) of the cells of a level that have
     enough."""
-    position, normal, direction, power, curvature, _ = points
+    position, normal, power = points.position, points.normal, points.power
     keys = np.empty(len(power), np.uint64)
     _keys(size, level, position, normal, keys)
     order = np.argsort(keys, kind="stable")
@@ -129,17 +136,13 @@ def _level(points: CausticPoints, chains: Chains, size: float, level: int) -> tu
     marks = low[:, None] + (high - low)[:, None] * ((np.arange(DRAWN) + 0.5) / DRAWN)
     chosen = np.searchsorted(running, marks, side="right") - 1
     chosen = order[np.clip(chosen, first[:, None], (first + counts - 1)[:, None])]
-    photon = np.zeros((len(found), ROWS, KEPT), np.float32)
-    photon[:, DIRECTION : DIRECTION + 3, :DRAWN] = direction[chosen].transpose(0, 2, 1)
-    photon[:, CURVATURE:, :DRAWN] = curvature[chosen].transpose(0, 2, 1)
-    photon[:, POWER, :DRAWN] = ((high - low) / DRAWN)[:, None]
     centre = position[chosen].mean(axis=1, dtype=np.float64).astype(np.float32)
-    offset = np.ascontiguousarray((centre[:, None] - position[chosen]).transpose(0, 2, 1), np.float32)
     repeats = -(-DRAWN // np.minimum(counts, DRAWN))
     companions = np.minimum(DRAWN - 1, repeats * (1 + COMPANIONS) - 1)
-    settle_all(photon, offset, companions, np.zeros((5, DRAWN), np.float32))
-    work = witnesses(chains, KEPT - DRAWN)
-    _represent_all(chains, points, centre, chains.facing[order[first]], np.float32(size**2), chosen, photon, work)
+    photon = np.zeros((len(found), ROWS, KEPT), np.float32)
+    facing, area, each = chains.facing[order[first]], np.float32(size**2), (high - low) / DRAWN
+    work = witnesses(chains, KEPT - DRAWN), np.zeros((3, DRAWN), np.float32), np.zeros((5, DRAWN), np.float32)
+    _gather(chains, points, centre, facing, area, chosen, each, companions, photon, work)
     return found, centre, packed_photons(photon)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from causticmpi.kernels import vec
-from causticmpi.kernels.jit import inline, kernel
+from causticmpi.kernels.jit import inline
 from causticmpi.kernels.vec import HALF, ONE, ZERO
 from causticmpi.kernels.wavefront import ENTRIES, times
 
@@ -136,11 +136,3 @@ def settle(photon, offset, count, companions, work):
                 for row in range(CURVATURE, ROWS):
                     photon[row, i] = ZERO
         _smooth(photon[0], photon[1], photon[2], count, height, own)
-
-
-@kernel
-def settle_all(photon, offset, companions, work):
-    """`settle` for the first n photons of places: photon (places, ROWS, >= n), offset (places, 3, n), companions
-    (places,)."""
-    for place in range(photon.shape[0]):
-        settle(photon[place], offset[place], offset.shape[2], companions[place], work)
