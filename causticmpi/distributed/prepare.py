@@ -14,13 +14,14 @@ from causticmpi.output.picture import RELMSE_FLOOR
 from causticmpi.preprocess.aim import emission_aim
 from causticmpi.preprocess.forecast import ClusterStatistics, ForecastMaps, build_forecast, no_forecast
 from causticmpi.preprocess.guides import Guides, learn_guides, no_guides
-from causticmpi.preprocess.lamp_sight import LampSight, lamp_sight, seen_in_passing
+from causticmpi.preprocess.lamp_images import LampImages, no_images, on_other_film
+from causticmpi.preprocess.lamp_sight import LampSight, lamp_sight, seen_in_passing, with_images
 from causticmpi.preprocess.photon_map import PhotonMap, build_photon_map, no_photon_map
 from causticmpi.preprocess.photons import CausticPoints, shoot_photons
 from causticmpi.preprocess.view import extent_in_view, see_views
 from causticmpi.render.foresight import of_photon_map, of_photons
 from causticmpi.render.methods import BY_CHANCE, FORECASTING, Method, bound_of, make_method
-from causticmpi.render.pilot import Plan, find_lamps, needs_pilot, run_pilot
+from causticmpi.render.pilot import Plan, find_lamps, needs_pilot, run_pilot, small_film
 from causticmpi.scene.content import extent, has_specular
 from causticmpi.scene.data import SceneData
 from causticmpi.scene.tracing import primitive_arrays, traced_scene
@@ -82,7 +83,7 @@ def prepare_method(
     """Collective. The whole preprocess, and the method on every rank. camera: see kernels.camera."""
     made = prepare_forecast(world, config, scene, watch)
     made.extent, made.guides = _prepare_guides(world, config, scene, camera, watch)
-    small_sight = _look_for_lamps(world, config, scene, watch)
+    small_sight, images = _look_for_lamps(world, config, scene, watch)
     side = small_sight.side
     if needs_pilot(config, made.maps):
         made.plan = _prepare_plan(world, config, scene, made, small_sight, watch)
@@ -90,7 +91,7 @@ def prepare_method(
         side = made.plan.sight_side
         if made.plan.plain:
             made.maps = no_forecast()
-    made.sight = _prepare_sight(world, config, scene, camera, side, watch)
+    made.sight = _prepare_sight(world, config, scene, camera, side, images, watch)
     return make_method(config, scene.traced, camera, made.maps, made.extent, made.guides, made.sight), made
 
 
@@ -110,20 +111,29 @@ def _prepare_guides(
     return seen
 
 
-def _look_for_lamps(world: World, config: RenderConfig, scene: PreparedScene, watch: Stopwatch) -> LampSight:
-    """Rank 0 looks where a small picture shows lamps: its `sight` there, elsewhere lamps are seen in passing."""
+def _look_for_lamps(
+    world: World, config: RenderConfig, scene: PreparedScene, watch: Stopwatch
+) -> tuple[LampSight, LampImages]:
+    """Rank 0 looks where a small picture shows lamps: its `sight` and images there, elsewhere lamps are seen in
+    passing."""
     if not world.is_root or config.method in BY_CHANCE:
-        return seen_in_passing()
+        return seen_in_passing(), no_images()
     with watch.stage("guides"):
         return find_lamps(scene.data, scene.traced, config.film, config.seed)
 
 
 def _prepare_sight(
-    world: World, config: RenderConfig, scene: PreparedScene, camera: np.ndarray, side: int, watch: Stopwatch
+    world: World,
+    config: RenderConfig,
+    scene: PreparedScene,
+    camera: np.ndarray,
+    side: int,
+    images: LampImages,
+    watch: Stopwatch,
 ) -> LampSight:
     """Rank 0 marks the pixels that may show a lamp, once it is known that there are looks at them.
 
-    side: of the grid of looks at such a pixel, as rank 0 knows it.
+    side: of the grid of looks at such a pixel, images: of the small picture, as rank 0 knows them.
     """
     side = world.broadcast(side)
     if side == 0:
@@ -131,9 +141,12 @@ def _prepare_sight(
     marked = None
     if world.is_root:
         with watch.stage("guides"):
-            sight = lamp_sight(scene.data, camera, config.film.width, config.film.height, side)
-        marked = {"mask": sight.mask}
-    return LampSight(world.share(marked)["mask"], side)
+            small, size = small_film(config.film), (config.film.width, config.film.height)
+            images = on_other_film(images, (small.width, small.height), size)
+            sight = with_images(lamp_sight(scene.data, camera, *size, side), images, *size)
+        marked = sight._asdict()
+        del marked["side"]
+    return LampSight(side=side, **world.share(marked))
 
 
 def _prepare_plan(

@@ -31,6 +31,7 @@ from causticmpi.preprocess import (
     directions,
     forecast,
     k_means,
+    lamp_images,
     lamp_sight,
     packed_photons,
     photon_map,
@@ -71,6 +72,7 @@ KERNELS = [
     vector_quantization._compete,
     vector_quantization.assign,
     k_means._move_to_means,
+    lamp_images._search,
     lamp_sight._mark,
     forecast._overlaps,
     photon_map._neighbour_distances,
@@ -140,7 +142,8 @@ def warm_up(config: RenderConfig, root: bool, forecasting: bool) -> bool:
     mapping = config.method == "iws+pm"
     if root and config.method not in BY_CHANCE:
         learn_guides(scene.traced, camera, 4, 4, 0, 1.0, view.see_views(scene.traced, camera, 4, 4, 0))
-        lamp_sight.lamp_sight(scene.data, camera, 4, 4, 1)
+        mask = lamp_sight.lamp_sight(scene.data, camera, 4, 4, 1).mask
+        lamp_images.find_images(scene.data, scene.traced, camera, 4, mask)
     if root and (forecasting or mapping):
         shoot_photons(scene.traced, 0, 1)
         points = CausticPoints(*(array + 1 for array in no_points(4)))

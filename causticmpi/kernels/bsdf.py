@@ -101,6 +101,15 @@ def fresnel(cosine, eta):
 
 
 @inline
+def reflected_share(scene, material, n, direction):
+    """Probability that `scatter_specular` reflects."""
+    if scene.kind[material] == MIRROR:
+        return ONE
+    cosine, ior = -vec.dot(direction, n), scene.ior[material]
+    return fresnel(-cosine, ior)[0] if cosine < ZERO else fresnel(cosine, ONE / ior)[0]
+
+
+@inline
 def scatter_specular(scene, material, n, direction, u):
     """One specular event: new direction, reflectance or transmittance / probability (RGB), eta and whether it
     refracted.

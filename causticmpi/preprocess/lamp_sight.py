@@ -1,5 +1,7 @@
-"""Where the eye can see a lamp: the pixels that any ray to a lamp or to something specular passes through."""
+"""Where the eye can see a lamp: the pixels that any ray to a lamp or to something specular passes through, and small
+images of lamps in them."""
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -8,6 +10,7 @@ from causticmpi.kernels import vec
 from causticmpi.kernels.camera import film_position
 from causticmpi.kernels.jit import inline, kernel
 from causticmpi.kernels.material_kinds import MIRROR
+from causticmpi.preprocess.lamp_images import LampImages, no_images
 from causticmpi.scene.data import SceneData
 
 MARGIN = 0.01
@@ -16,37 +19,107 @@ NEAR = 1e-6
 """What crosses the plane of the eye is cut off at this fraction of its depth."""
 
 
+GAIN = 4.0
+"""An image gets looks of its own in a pixel where, in its middle, they lie so many times as dense as a single look at a
+random place whose events are its own by chance."""
+MOST_OWN = 8
+"""Such looks in a pixel."""
+AROUND = 1.5
+"""They are sent to pixels that an ellipse so many times as large touches."""
+WIDEST, CORNER = 0.6, 0.71
+"""Half axes of the places of such looks, at most, and how far the corners of a pixel lie from its middle [pixels]."""
+PLACE, AXES, INVERSE, PEAK, COLUMNS = 0, 2, 6, 10, 11
+"""First columns of `LampSight.image`."""
+
+
 class LampSight(NamedTuple):
     """mask (pixels of the whole film,) bool: where a lamp may be seen, empty for everywhere; side: looks at such a
-    pixel in a pass lie in a grid of side x side; 0: lamps are seen in passing, by the paths that look for vertices."""
+    pixel in a pass lie in a grid of side x side; 0: lamps are seen in passing, by the paths that look for vertices.
+
+    Looks of their own have the images in rows first[pixel] … first[pixel + 1], first (pixels + 1,) int32, empty if
+    there are none: image (rows, COLUMNS) float32: middle of the places of a look; half axes as a matrix that takes the
+    unit disk to their ellipse; its inverse; density there [1 / pixel]; events (rows,) int64 of lamp_images.
+    """
 
     mask: Any
     side: int
+    first: Any
+    image: Any
+    events: Any
 
     @property
     def in_passing(self) -> bool:
         """Whether lamps get no looks of their own."""
         return self.side == 0
 
+    @property
+    def knows_images(self) -> bool:
+        """Whether images get looks of their own."""
+        return len(self.first) > 0
+
 
 def seen_in_passing() -> LampSight:
     """No looks for lamps alone."""
-    return _sight(np.empty(0, np.bool_), 0)
+    return _sight(np.empty(0, np.bool_), 0, *_own_looks(no_images(), 0, 0))
 
 
-def _sight(mask: np.ndarray, side: int) -> LampSight:
-    mask.flags.writeable = False  # as shared arrays are: kernels are compiled for one type only
-    return LampSight(mask, side)
+def _sight(mask: np.ndarray, side: int, *own: np.ndarray) -> LampSight:
+    for array in (mask, *own):
+        array.flags.writeable = False  # as shared arrays are: kernels are compiled for one type only
+    return LampSight(mask, side, *own)
 
 
 def lamp_sight(scene: SceneData, camera: np.ndarray, width: int, height: int, side: int) -> LampSight:
     """Mark what holds a part of the box around a projected lamp or specular primitive. camera: see kernels.camera."""
+    return _sight(_marked(scene, camera, width, height), side, *_own_looks(no_images(), 0, 0))
+
+
+def with_images(sight: LampSight, images: LampImages, width: int, height: int) -> LampSight:
+    """With looks at images of lamps in a picture of so many pixels."""
+    return _sight(sight.mask, sight.side, *_own_looks(images, width, height))
+
+
+def _own_looks(images: LampImages, width: int, height: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """`first`, `image` and `events` of a LampSight."""
+    pixel, rows, events, order = [], [], [], []
+    for place, axes, its_events, chance in zip(*images, strict=True):
+        turned, half, _ = np.linalg.svd(axes)
+        narrow = np.minimum(half, WIDEST)
+        peak = 1 / (math.pi * narrow.prod())
+        if peak < GAIN * chance:
+            continue
+        extent = np.abs(turned) @ (AROUND * half)
+        low, high = np.floor(place - extent).astype(int), np.floor(place + extent).astype(int) + 1
+        x, y = np.meshgrid(
+            *(np.arange(max(0, a), min(b, c)) for a, b, c in zip(low, high, (width, height), strict=True))
+        )
+        away = (np.stack([x.ravel(), y.ravel()], axis=1) + 0.5 - place) @ turned
+        touched = (np.abs(away) <= AROUND * half + CORNER).all(axis=1)
+        # Of an ellipse longer than a pixel each pixel has its own part.
+        reach = np.maximum(half - 0.5, 0)
+        middle = place + np.clip(away[touched], -reach, reach) @ turned.T
+        rest = np.concatenate([(turned * narrow).ravel(), (turned / narrow).T.ravel(), [peak]])
+        rows.append(np.concatenate([middle, np.tile(rest, (len(middle), 1))], axis=1))
+        pixel.append((y.ravel() * width + x.ravel())[touched])
+        events.append(np.full(len(middle), its_events))
+        order.append(np.full(len(middle), -chance * half.prod()))
+    if not rows:
+        return np.zeros(0, np.int32), np.zeros((0, COLUMNS), np.float32), np.zeros(0, np.int64)
+    pixels, ranks = np.concatenate(pixel), np.lexsort((np.concatenate(order), np.concatenate(pixel)))
+    place_in = np.arange(len(ranks)) - np.searchsorted(pixels[ranks], pixels[ranks])
+    kept = ranks[place_in < MOST_OWN]
+    first = np.searchsorted(pixels[kept], np.arange(width * height + 1)).astype(np.int32)
+    return first, np.concatenate(rows)[kept].astype(np.float32), np.concatenate(events)[kept].astype(np.int64)
+
+
+def _marked(scene: SceneData, camera: np.ndarray, width: int, height: int) -> np.ndarray:
+    """`mask` of a LampSight."""
     specular = scene.material_kind[scene.primitive_material] >= MIRROR
     wanted = np.flatnonzero(specular | (scene.primitive_emission >= 0))
     mask = np.zeros((height, width), np.bool_)
     workspace = np.zeros((8, 3)), np.zeros(8), np.zeros(4)
     _mark(scene.vertices, scene.triangles, scene.spheres, wanted, camera.astype(np.float64), *workspace, mask)
-    return _sight(mask.ravel(), side)
+    return mask.ravel()
 
 
 @inline

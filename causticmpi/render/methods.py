@@ -144,7 +144,7 @@ class VirtualLighting(EyePaths, ABC):
         """Add the lamps themselves to L_d where they get looks of their own; returns rays traced."""
         if self.sight.in_passing:
             return 0
-        eye = (self.scene, self.camera, self.sight_work, self.sight.mask, self.sight.side)
+        eye = (self.scene, self.camera, self.sight_work, self.sight)
         rays: int = see_lamps(*eye, pixels, self.seed, self.pass_index, film)
         return rays
 

@@ -20,7 +20,8 @@ from causticmpi.kernels.pixels import pixel_order
 from causticmpi.kernels.traced_scene import TracedScene
 from causticmpi.preprocess.forecast import ForecastMaps, no_forecast
 from causticmpi.preprocess.guides import Guides
-from causticmpi.preprocess.lamp_sight import LampSight, lamp_sight, seen_in_passing
+from causticmpi.preprocess.lamp_images import LampImages, find_images
+from causticmpi.preprocess.lamp_sight import LampSight, lamp_sight, seen_in_passing, with_images
 from causticmpi.render.methods import FORECASTING, Method, VirtualLighting, make_method
 from causticmpi.scene.data import SceneData
 from causticmpi.scene.tracing import camera_array
@@ -155,7 +156,7 @@ def run_pilot(
     if not config.forecast.light_tracing:
         guides = guides._replace(paths_per_pixel=0.0)
     forecast = try_way(maps, guides, FORECAST_RAY)
-    return choose(forecast, try_way(no_forecast(), guides, 1.0), guides.paths_per_pixel, sight.side, floor)
+    return choose(forecast, try_way(no_forecast(), guides, 1.0), guides.paths_per_pixel, sight, floor)
 
 
 def small_film(film: Film) -> Film:
@@ -164,30 +165,36 @@ def small_film(film: Film) -> Film:
     return Film(width=max(1, int(film.width * shrink)), height=max(1, int(film.height * shrink)))
 
 
-def find_lamps(data: SceneData, scene: TracedScene, film: Film, seed: int) -> LampSight:
-    """Where the eye may see a lamp in the small picture of a film; in passing if looks at it see none."""
+def find_lamps(data: SceneData, scene: TracedScene, film: Film, seed: int) -> tuple[LampSight, LampImages]:
+    """Where the eye may see a lamp in the small picture of a film, in passing if looks at it see none; and images."""
     small = small_film(film)
     eye = camera_array(data.camera, small.width, small.height)
     sight = lamp_sight(data, eye, small.width, small.height, SIGHT_SIDE)
+    images = find_images(data, scene, eye, small.width, sight.mask)
+    if len(images.place):
+        return with_images(sight, images, small.width, small.height), images
     seen = np.zeros((small.width * small.height, 6), np.float32)
     pixels, work = pixel_order(small.window, small.width), sight_work(SIGHT_SIDE)
     for index in range(FIRST_PASS, FIRST_PASS + LOOK_PASSES):
-        see_lamps(scene, eye, work, *sight, pixels, seed, index, seen)
-    return sight if seen.any() else seen_in_passing()
+        see_lamps(scene, eye, work, sight, pixels, seed, index, seen)
+    return sight if seen.any() else seen_in_passing(), images
 
 
-def choose(forecast: Trial, plain: Trial, paths_per_pixel: float, side: int, floor: float) -> Plan:
-    """The way of less error times cost; paths_per_pixel, side: what `forecast` was tried with, the best are found;
-    floor: of the relative squared error [radiance^2]."""
+def choose(forecast: Trial, plain: Trial, paths_per_pixel: float, sight: LampSight, floor: float) -> Plan:
+    """The way of less error times cost; paths_per_pixel, sight: what `forecast` was tried with, the best paths and side
+    are found; floor: of the relative squared error [radiance^2]."""
     rest = (forecast.rest + plain.rest) / 2
-    score, paths, best_side = _best(forecast, paths_per_pixel, side, rest, floor)
-    plain_score, _, plain_side = _best(plain, 0.0, side, rest, floor)
+    score, paths, best_side = _best(forecast, paths_per_pixel, sight, rest, floor)
+    plain_score, _, plain_side = _best(plain, 0.0, sight, rest, floor)
     pays = plain_score > GAIN * score or not sees(plain, forecast)
     return Plan(not pays, paths if pays else 0.0, best_side if pays else plain_side, score, plain_score)
 
 
-def _best(trial: Trial, paths_per_pixel: float, side: int, rest: np.ndarray, floor: float) -> tuple[float, float, int]:
+def _best(
+    trial: Trial, paths_per_pixel: float, sight: LampSight, rest: np.ndarray, floor: float
+) -> tuple[float, float, int]:
     """Least error times cost, and what gives it: light paths for every pixel, side of the grid of looks for lamps."""
+    side = sight.side
     weight = 1 / ((rest + trial.lamps.passes.mean(axis=0)) ** 2 + floor)
     eye, light, lamps = trial.eye.error(weight), trial.light.error(weight), trial.lamps.error(rest, floor)
     more = 1.0  # light paths, over those that were tried
@@ -203,7 +210,9 @@ def _best(trial: Trial, paths_per_pixel: float, side: int, rest: np.ndarray, flo
         looks = other**2 / side**2 if side else 0.0
         return (error + lamps * (1 / looks if looks else side**2)) * (rays + trial.lamps.rays * looks)
 
-    best = min(range(MOST_SIDE + 1), key=score) if lamps > 0 else side
+    # Small images that are known have looks of their own: a grid is there to share what chance meets of them.
+    fewest = 1 if sight.knows_images else 0
+    best = min(range(fewest, MOST_SIDE + 1), key=score) if lamps > 0 else side
     return score(best), more * paths_per_pixel, best
 
 
