@@ -21,16 +21,16 @@ from causticmpi.kernels.material_kinds import MIRROR
 from causticmpi.kernels.traced_scene import TracedScene, hit_point, is_specular
 from causticmpi.kernels.vec import ALMOST_ONE, INFINITY, ONE, WHITE, ZERO
 from causticmpi.kernels.warp import turn
+from causticmpi.preprocess.lamps import lamps_of
 from causticmpi.scene.data import SceneData
+from causticmpi.scene.tracing import SHAPE
 
 STRAIGHT = 1
 """Events of a look that meets nothing specular: each adds a bit behind the others, 1 if it reflects."""
 MOST_EVENTS = 12
 FAINTEST = np.float32(1e-5)
 """Of a lamp's radiance, that of an image that is looked for."""
-MOST_LAMPS = 16
-"""The strongest."""
-STARTS = 16384
+STARTS = 32768
 """Places of the picture that the search starts from, at least; one in every pixel at least."""
 MOST_IMAGES = 2048
 CORNERS = 6.0
@@ -53,13 +53,6 @@ _LOOKS = 9
 """Places of an ellipse that are tried: one sees the lamp, or the image is hidden."""
 
 
-class Lamps(NamedTuple):
-    """Shapes that shine: middle (n, 3); variance (n, 6) of their points: xx, xy, xz, yy, yz, zz [units²]."""
-
-    middle: np.ndarray
-    variance: np.ndarray
-
-
 class LampImages(NamedTuple):
     """Ellipses in a picture. place (n, 2) float64: film position of the middle; axes (n, 2, 2): half axes as columns
     [pixels]; events (n,) int64: see STRAIGHT; chance (n,): that a look there has these events."""
@@ -68,34 +61,6 @@ class LampImages(NamedTuple):
     axes: np.ndarray
     events: np.ndarray
     chance: np.ndarray
-
-
-def lamps_of(scene: SceneData) -> Lamps:
-    """Shapes that shine, the MOST_LAMPS strongest."""
-    shining = np.flatnonzero(scene.primitive_emission >= 0)
-    sphere = shining >= len(scene.triangles)
-    corners = scene.vertices[scene.triangles[shining[~sphere]]].astype(np.float64)
-    balls = scene.spheres[shining[sphere] - len(scene.triangles)].astype(np.float64)
-    edges = corners[:, 1:] - corners[:, :1]
-    sides = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
-    area = np.concatenate([sides / 2, 4 * math.pi * balls[:, 3] ** 2])
-    middle = np.concatenate([corners.mean(axis=1), balls[:, :3]])
-    away = corners - middle[: len(corners), None]
-    inner = np.zeros((len(shining), 3, 3))
-    inner[: len(corners)] = np.einsum("ikc,ikd->icd", away, away) / 12
-    inner[len(corners) :] = np.eye(3) * (balls[:, 3] ** 2 / 4)[:, None, None]  # of the disk that is seen
-    shapes, shape = np.unique(scene.primitive_shape[shining], return_inverse=True)
-    power = np.bincount(shape, weights=area * scene.emission[scene.primitive_emission[shining]].max(axis=1))
-    strongest = np.sort(np.argsort(-power, kind="stable")[:MOST_LAMPS])
-    middles, variances = np.zeros((len(shapes), 3)), np.zeros((len(shapes), 6))
-    for i in strongest:
-        own = shape == i
-        share = area[own] / area[own].sum()
-        middles[i] = share @ middle[own]
-        off = middle[own] - middles[i]
-        whole = np.einsum("i,icd->cd", share, inner[own] + off[:, :, None] * off[:, None])
-        variances[i] = whole[np.triu_indices(3)]
-    return Lamps(middles[strongest].astype(np.float32), variances[strongest].astype(np.float32))
 
 
 @inline
@@ -156,7 +121,7 @@ def _across(variance, a, b):
 
 @inline
 def _ellipse(xx, xy, yy):
-    """Direction of the longer axis of a covariance, and both half axes."""
+    """Of a covariance: direction of the longer axis, and both half axes."""
     mean, half = 0.5 * (xx + yy), 0.5 * (xx - yy)
     gap = math.sqrt(half * half + xy * xy)
     angle = 0.5 * math.atan2(xy, half)
@@ -166,38 +131,73 @@ def _ellipse(xx, xy, yy):
 
 
 @inline
-def _approach(scene, camera, rays, x, y, events, middle, variance, spacing):
-    """Newton's method from a film position. Returns whether it comes to a lamp's middle; where; direction of the longer
-    axis of the image, and half axes [pixels]; how likely the events are."""
-    first_x, first_y, h = x, y, _DIFFERENCE
-    found, c, s, longer, shorter, likely = False, 1.0, 0.0, 0.0, 0.0, ONE
+def _three(scene, camera, rays, x, y, events):
+    """Looks at a film position and a little to the right and below it. Returns whether all have the events; the last
+    ray of each and how far they are apart [pixels]; how likely the events are."""
+    known, o, d, _, _, _, chance = _follow(scene, camera, rays, x, y, events)
+    h, k = _DIFFERENCE, _DIFFERENCE
+    right, p, e, _, _, _, _ = _follow(scene, camera, rays, x + h, y, events)
+    if not right:  # at a rim
+        h = -h
+        right, p, e, _, _, _, _ = _follow(scene, camera, rays, x + h, y, events)
+    down, q, f, _, _, _, _ = _follow(scene, camera, rays, x, y + k, events)
+    if not down:
+        k = -k
+        down, q, f, _, _, _, _ = _follow(scene, camera, rays, x, y + k, events)
+    return known & right & down, (o, d, p, e, q, f, h, k), chance
+
+
+@inline
+def _slopes(three, middle, tangents):
+    """How looks miss a lamp's middle. Returns whether they get so far; the miss along two tangents, and what it changes
+    by a pixel to the right and a pixel down."""
+    o, d, p, e, q, f, h, k = three
+    a, b, ahead = _miss(o, d, middle, d, tangents)
+    a1, b1, ahead1 = _miss(p, e, middle, d, tangents)
+    a2, b2, ahead2 = _miss(q, f, middle, d, tangents)
+    change = float(a1 - a) / h, float(b1 - b) / h, float(a2 - a) / k, float(b2 - b) / k
+    return ahead & ahead1 & ahead2, float(a), float(b), change
+
+
+@inline
+def _image(variance, change, tangents):
+    """Variance of a lamp's points across the ray, and the ellipse of its image, from what `_slopes` tells."""
+    ax, bx, ay, by = change
+    aa = float(_across(variance, tangents[0], tangents[0]))
+    ab = float(_across(variance, tangents[0], tangents[1]))
+    bb = float(_across(variance, tangents[1], tangents[1]))
+    share = 1 / (ax * by - ay * bx) ** 2
+    xx = share * (by * by * aa - 2 * by * ay * ab + ay * ay * bb)
+    xy = share * (-by * bx * aa + (by * ax + ay * bx) * ab - ay * ax * bb)
+    yy = share * (bx * bx * aa - 2 * bx * ax * ab + ax * ax * bb)
+    return aa + bb, _ellipse(xx, xy, yy)
+
+
+@inline
+def _approach(scene, camera, rays, x, y, three, chance, events, middle, variance, spacing, lit):
+    """Newton's method from a film position, whose looks are `three`. Returns whether it comes to a lamp's middle;
+    where; the ellipse [pixels]; how likely the events are.
+
+    lit: the lamp is seen where it starts: then, if the middle is not to be had, the image is there.
+    """
+    first_x, first_y = x, y
+    found, likely, ellipse = False, ONE, (1.0, 0.0, _SMALLEST, _SMALLEST)
     for step in range(_STEPS):
-        alive, o, d, _, _, _, chance = _follow(scene, camera, rays, x, y, events)
-        alive1, o1, d1, _, _, _, _ = _follow(scene, camera, rays, x + h, y, events)
-        alive2, o2, d2, _, _, _, _ = _follow(scene, camera, rays, x, y + h, events)
-        if not (alive and alive1 and alive2):
-            break
-        tangents = vec.frame(d)
-        a, b, ahead = _miss(o, d, middle, d, tangents)
-        a1, b1, ahead1 = _miss(o1, d1, middle, d, tangents)
-        a2, b2, ahead2 = _miss(o2, d2, middle, d, tangents)
-        if not (ahead and ahead1 and ahead2):
-            break
-        # The miss moves by (ax, bx) a pixel to the right and by (ay, by) a pixel down.
-        ax, bx, ay, by = float(a1 - a) / h, float(b1 - b) / h, float(a2 - a) / h, float(b2 - b) / h
+        if step > 0:
+            known, three, chance = _three(scene, camera, rays, x, y, events)
+            if not known:
+                break
+        tangents = vec.frame(three[1])
+        ahead, a, b, change = _slopes(three, middle, tangents)
+        ax, bx, ay, by = change
         whole = ax * by - ay * bx
-        if whole == 0:
+        if not ahead or whole == 0:
             break
-        aa = float(_across(variance, tangents[0], tangents[0]))
-        ab = float(_across(variance, tangents[0], tangents[1]))
-        bb = float(_across(variance, tangents[1], tangents[1]))
-        if a * a + b * b <= _MET * (aa + bb):
-            share = 1 / (whole * whole)
-            xx = share * (by * by * aa - 2 * by * ay * ab + ay * ay * bb)
-            xy = share * (-by * bx * aa + (by * ax + ay * bx) * ab - ay * ax * bb)
-            yy = share * (bx * bx * aa - 2 * bx * ax * ab + ax * ax * bb)
-            c, s, longer, shorter = _ellipse(xx, xy, yy)
-            found, likely = True, chance
+        size2, turned = _image(variance, change, tangents)
+        if step == 0:
+            likely, ellipse = chance, turned
+        if a * a + b * b <= _MET * size2:
+            found, likely, ellipse = True, chance, turned
             break
         right, down = (ay * b - by * a) / whole, (bx * a - ax * b) / whole
         if step == 0 and right * right + down * down > (_REACH * spacing) ** 2:
@@ -205,7 +205,9 @@ def _approach(scene, camera, rays, x, y, events, middle, variance, spacing):
         x, y = x + right, y + down
         if (x - first_x) ** 2 + (y - first_y) ** 2 > (_FARTHEST * spacing) ** 2:
             break
-    return found, x, y, c, s, longer, shorter, likely
+    if not found:
+        x, y, found = first_x, first_y, lit
+    return found, x, y, ellipse, likely
 
 
 @inline
@@ -226,7 +228,7 @@ def _shines(scene, camera, rays, x, y, c, s, longer, shorter, events):
 
 
 @kernel
-def _search(scene, camera, rays, starts, spacing, middles, variances, waiting, found):
+def _search(scene, camera, rays, starts, spacing, middles, variances, shapes, waiting, found):
     """Fill found (rows, 9) float64: place, direction of the longer axis, half axes, chance, events, lamp; from starts
     (n, 2) [pixels], so far apart. waiting (2 * MOST_EVENTS + 2,) int64: workspace. Returns how many there are."""
     count = 0
@@ -248,21 +250,23 @@ def _search(scene, camera, rays, starts, spacing, middles, variances, waiting, f
                         waiting[top] = 2 * events
                         top += 1
                 continue
-            for lamp in range(middles.shape[0]):
+            known, three, chance = _three(scene, camera, rays, starts[i, 0], starts[i, 1], events)
+            for lamp in range(middles.shape[0] if known else 0):
                 middle, variance = vec.row(middles, lamp), variances[lamp]
-                near, x, y, c, s, longer, shorter, likely = _approach(
-                    scene, camera, rays, starts[i, 0], starts[i, 1], events, middle, variance, spacing
-                )
+                lit = primitive >= 0 and scene.surface.view(np.int32)[primitive, SHAPE] == shapes[lamp]
+                place = starts[i, 0], starts[i, 1], three, chance, events
+                near, x, y, ellipse, likely = _approach(scene, camera, rays, *place, middle, variance, spacing, lit)
                 if not near or count == found.shape[0]:
                     continue
-                known = False
+                c, s, longer, shorter = ellipse
+                same = False
                 for k in range(count):
                     right, down = x - found[k, 0], y - found[k, 1]
                     along = (found[k, 2] * right + found[k, 3] * down) / found[k, 4]
                     beside = (found[k, 2] * down - found[k, 3] * right) / found[k, 5]
-                    same = found[k, 7] == events and found[k, 8] == lamp
-                    known |= same and along * along + beside * beside < _SAME
-                if not known and _shines(scene, camera, rays, x, y, c, s, longer, shorter, events):
+                    of_it = found[k, 7] == events and found[k, 8] == lamp
+                    same |= of_it and along * along + beside * beside < _SAME
+                if not same and _shines(scene, camera, rays, x, y, c, s, longer, shorter, events):
                     row = found[count]
                     row[0], row[1], row[2], row[3], row[4], row[5] = x, y, c, s, longer, shorter
                     row[6], row[7], row[8] = likely, events, lamp
@@ -279,7 +283,8 @@ def find_images(scene: SceneData, traced: TracedScene, camera: np.ndarray, width
     starts = (corner[:, None, None] + np.stack(np.meshgrid(inner, inner), axis=-1)).reshape(-1, 2)
     found, waiting = np.zeros((MOST_IMAGES, 9)), np.zeros(2 * MOST_EVENTS + 2, np.int64)
     count = _search(traced, camera, ray_buffer(), starts, 1 / parts, *lamps_of(scene), waiting, found)
-    x, y, c, s, longer, shorter, chance, events, _ = found[:count].T
+    found = found[:count]
+    x, y, c, s, longer, shorter, chance, events, _ = found[np.isfinite(found).all(axis=1)].T
     axes = np.stack([np.stack([c * longer, -s * shorter], axis=1), np.stack([s * longer, c * shorter], axis=1)], axis=1)
     return LampImages(np.stack([x, y], axis=1), axes, events.astype(np.int64), chance.copy())
 
