@@ -49,8 +49,8 @@ _MET = 0.01
 """Squared distance from the middle of the lamp that is near enough, over the variance of its points."""
 _SAME = 0.25
 """Images by the same events so near, of the squared half axes of one, are one."""
-_LOOKS = 9
-"""Places of an ellipse that are tried: one sees the lamp, or the image is hidden."""
+_LOOKS, _ENOUGH = 9, 3
+"""Places of an ellipse that are tried, and how many must see the lamp: of an image in a facet there is little."""
 
 
 class LampImages(NamedTuple):
@@ -212,8 +212,8 @@ def _approach(scene, camera, rays, x, y, three, chance, events, middle, variance
 
 @inline
 def _shines(scene, camera, rays, x, y, c, s, longer, shorter, events):
-    """Whether a lamp is seen at one of a few places of an ellipse, by the events."""
-    seen = False
+    """Whether a lamp is seen at enough of a few places of an ellipse, by the events."""
+    seen = 0
     for k in range(_LOOKS):
         u, v = turn(np.float32(k) / np.float32(_LOOKS))
         far = 0.5 if k else 0.0
@@ -223,8 +223,8 @@ def _shines(scene, camera, rays, x, y, c, s, longer, shorter, events):
         if alive and primitive >= 0:
             _, n, _ = hit_point(scene, primitive, origin, direction, t)
             light = vec.mul(emitted(scene, primitive, n, direction), throughput)
-            seen |= vec.max3(light) * chance > ZERO
-    return seen
+            seen += vec.max3(light) * chance > ZERO
+    return seen >= _ENOUGH
 
 
 @kernel
