@@ -196,6 +196,8 @@ def _approach(scene, camera, rays, x, y, three, chance, events, middle, variance
         size2, turned = _image(variance, change, tangents)
         if step == 0:
             likely, ellipse = chance, turned
+            if lit:
+                spacing = max(spacing, turned[2])  # the middle may lie as far
         if a * a + b * b <= _MET * size2:
             found, likely, ellipse = True, chance, turned
             break
