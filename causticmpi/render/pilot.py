@@ -47,6 +47,8 @@ FEWEST_PATHS, MOST_PATHS = 1 / 16, 16.0
 """Light paths for every pixel and pass."""
 SIGHT_SIDE, MOST_SIDE = 2, 3
 """Side of the grid of looks for lamps in a pixel, without a pilot; at most with one."""
+EVEN, AT_RANDOM = 3.0, 2.0
+"""Powers of the side by which the error of a grid falls: looks at random, and evenly spaced ones at an edge."""
 LOOK_PASSES = 4
 """Passes of looks that tell whether the eye sees a lamp at all."""
 
@@ -105,13 +107,29 @@ class Lamps:
 
 
 @dataclass(frozen=True)
+class Looks:
+    """Looks for lamps, the same for both ways: a grid of SIGHT_SIDE a side, and single ones."""
+
+    grid: Lamps
+    single: Lamps
+
+    def of(self, side: int, rest: np.ndarray, floor: float) -> tuple[float, float]:
+        """Mean relative squared error that side x side looks leave in a pass, and their rays for a pixel; 0: a single
+        one, that comes for nothing. rest (slots, 3): radiance without lamps."""
+        grid, single = self.grid.error(rest, floor), self.single.error(rest, floor)
+        power = math.log2(single / grid) / math.log2(SIGHT_SIDE) if grid > 0 and single > 0 else AT_RANDOM
+        error = grid * (SIGHT_SIDE / max(1, side)) ** min(max(power, AT_RANDOM), EVEN)
+        each = (self.grid.rays - self.single.rays) / (SIGHT_SIDE**2 - 1)
+        return error, self.single.rays + each * (side**2 - 1) if side else 0.0
+
+
+@dataclass(frozen=True)
 class Trial:
-    """What the passes of one way gave: by vertices that eye paths find, by splats of light paths, by looks for lamps;
-    caustic, caustic_squares (blocks,): sums of L_c."""
+    """What the passes of one way gave: by vertices that eye paths find, by splats of light paths; caustic,
+    caustic_squares (blocks,): sums of L_c."""
 
     eye: Part
     light: Part
-    lamps: Lamps
     caustic: np.ndarray
     caustic_squares: np.ndarray
 
@@ -150,13 +168,16 @@ def run_pilot(
     small = msgspec.structs.replace(config, film=small_film(config.film))
     camera = camera_array(data.camera, small.film.width, small.film.height)
 
+    looks = _try_looks(scene, camera, sight, small.film, config.seed)
+
     def try_way(maps: ForecastMaps, guides: Guides, ray: float) -> Trial:
         return _try(make_method(small, scene, camera, maps, extent, guides, sight), small.film, ray)
 
     if not config.forecast.light_tracing:
         guides = guides._replace(paths_per_pixel=0.0)
     forecast = try_way(maps, guides, FORECAST_RAY)
-    return choose(forecast, try_way(no_forecast(), guides, 1.0), guides.paths_per_pixel, sight, floor)
+    plain = try_way(no_forecast(), guides, 1.0)
+    return choose(forecast, plain, looks, guides.paths_per_pixel, sight, floor)
 
 
 def small_film(film: Film) -> Film:
@@ -180,23 +201,22 @@ def find_lamps(data: SceneData, scene: TracedScene, film: Film, seed: int) -> tu
     return sight if seen.any() else seen_in_passing(), images
 
 
-def choose(forecast: Trial, plain: Trial, paths_per_pixel: float, sight: LampSight, floor: float) -> Plan:
+def choose(forecast: Trial, plain: Trial, looks: Looks, paths_per_pixel: float, sight: LampSight, floor: float) -> Plan:
     """The way of less error times cost; paths_per_pixel, sight: what `forecast` was tried with, the best paths and side
     are found; floor: of the relative squared error [radiance^2]."""
     rest = (forecast.rest + plain.rest) / 2
-    score, paths, best_side = _best(forecast, paths_per_pixel, sight, rest, floor)
-    plain_score, _, plain_side = _best(plain, 0.0, sight, rest, floor)
+    score, paths, best_side = _best(forecast, looks, paths_per_pixel, sight, rest, floor)
+    plain_score, _, plain_side = _best(plain, looks, 0.0, sight, rest, floor)
     pays = plain_score > GAIN * score or not sees(plain, forecast)
     return Plan(not pays, paths if pays else 0.0, best_side if pays else plain_side, score, plain_score)
 
 
 def _best(
-    trial: Trial, paths_per_pixel: float, sight: LampSight, rest: np.ndarray, floor: float
+    trial: Trial, looks: Looks, paths_per_pixel: float, sight: LampSight, rest: np.ndarray, floor: float
 ) -> tuple[float, float, int]:
     """Least error times cost, and what gives it: light paths for every pixel, side of the grid of looks for lamps."""
-    side = sight.side
-    weight = 1 / ((rest + trial.lamps.passes.mean(axis=0)) ** 2 + floor)
-    eye, light, lamps = trial.eye.error(weight), trial.light.error(weight), trial.lamps.error(rest, floor)
+    weight = 1 / ((rest + looks.grid.passes.mean(axis=0)) ** 2 + floor)
+    eye, light = trial.eye.error(weight), trial.light.error(weight)
     more = 1.0  # light paths, over those that were tried
     if light > 0 and eye > 0:
         # Where (eye + light / more) (eye rays + light rays more) is least.
@@ -204,15 +224,14 @@ def _best(
         more = min(max(more * paths_per_pixel, FEWEST_PATHS), MOST_PATHS) / paths_per_pixel
     error, rays = eye + light / more, trial.eye.rays + trial.light.rays * more
 
-    def score(other: int) -> float:
-        """Error times cost with a grid of `other` looks a side."""
-        # Seen in passing, lamps have the error of a single look, at no cost.
-        looks = other**2 / side**2 if side else 0.0
-        return (error + lamps * (1 / looks if looks else side**2)) * (rays + trial.lamps.rays * looks)
+    def score(side: int) -> float:
+        """Error times cost with a grid of so many looks a side."""
+        lamps, more_rays = looks.of(side, rest, floor)
+        return (error + lamps) * (rays + more_rays)
 
     # Small images that are known have looks of their own: a grid is there to share what chance meets of them.
     fewest = 1 if sight.knows_images else 0
-    best = min(range(fewest, MOST_SIDE + 1), key=score) if lamps > 0 else side
+    best = min(range(fewest, MOST_SIDE + 1), key=score) if looks.of(1, rest, floor)[0] > 0 else sight.side
     return score(best), more * paths_per_pixel, best
 
 
@@ -231,33 +250,45 @@ def _mean_and_error(total: np.ndarray, squares: np.ndarray) -> tuple[np.ndarray,
     return mean, np.sqrt(np.maximum(squares / PASSES - mean * mean, 0) / (PASSES - 1))
 
 
+def _try_looks(scene: TracedScene, camera: np.ndarray, sight: LampSight, film: Film, seed: int) -> Looks:
+    """PASSES passes of looks at a film, of what is not seen in passing."""
+    pixels, work = pixel_order(film.window, film.width), sight_work(SIGHT_SIDE)
+    seen = np.zeros((2, PASSES, film.width * film.height, 3), np.float32)
+    rays = np.zeros(2)
+    for i, side in enumerate((SIGHT_SIDE, 1)):
+        for index in range(0 if sight.in_passing else PASSES):
+            lamps = np.zeros((film.width * film.height, 6), np.float32)
+            own = sight._replace(side=side)
+            rays[i] += see_lamps(scene, camera, work, own, pixels, seed, FIRST_PASS + index, lamps)
+            seen[i, index] = lamps[:, :3]
+    cost = rays * SIGHT_RAY / (PASSES * film.width * film.height)
+    return Looks(*(Lamps(passes, float(a)) for passes, a in zip(seen, cost, strict=True)))
+
+
 def _try(method: Method, film: Film, ray: float) -> Trial:
     """PASSES passes of a film. ray: cost of a ray of an eye path, over that of one sampled plainly."""
     assert isinstance(method, VirtualLighting)
     width, height = film.width, film.height
     pixels = pixel_order(film.window, width)
     blocks = [np.arange(0, side, BLOCK) for side in (height, width)]
-    samples, lamps = np.zeros((2, width * height, 6), np.float32)
+    samples = np.zeros((width * height, 6), np.float32)
     splats = np.zeros((width * height, 3), np.float32)
     sums = np.zeros((2, 2, width * height, 3))
-    looks = np.zeros((PASSES, width * height, 3), np.float32)
     caustics = np.zeros((2, len(blocks[0]), len(blocks[1])))
-    rays = np.zeros(3)
+    rays = np.zeros(2)
     for index in range(FIRST_PASS, FIRST_PASS + PASSES):
-        samples[:] = lamps[:] = splats[:] = 0
+        samples[:] = splats[:] = 0
         method.begin_pass(index)  # its rays are the same for a picture of any size
         rays[0] += method.trace_vertices(pixels, samples)
         if method.light_paths:
             rays[1] += method.trace_light(index, 0, method.light_paths, splats)
-        rays[2] += method.see_lamps(pixels, lamps)
         parts = np.array([samples[:, :3].astype(np.float64) + samples[:, 3:], splats])
-        looks[index - FIRST_PASS] = lamps[:, :3]
         sums[:, 0] += parts
         sums[:, 1] += parts * parts
         caustic = (samples[:, 3:] + splats).astype(np.float64).sum(axis=1).reshape(height, width)
         lit = np.add.reduceat(np.add.reduceat(caustic, blocks[0], axis=0), blocks[1], axis=1)
         caustics[0] += lit
         caustics[1] += lit * lit
-    cost = rays * (ray, LIGHT_RAY, SIGHT_RAY) / (PASSES * width * height)
+    cost = rays * (ray, LIGHT_RAY) / (PASSES * width * height)
     eye, light = (Part(sums[i, 0], sums[i, 1], float(cost[i])) for i in range(2))
-    return Trial(eye, light, Lamps(looks, float(cost[2])), caustics[0], caustics[1])
+    return Trial(eye, light, caustics[0], caustics[1])
