@@ -11,7 +11,7 @@ from rendering import prepare, scene_from
 
 from causticmpi.config.records import Film
 from causticmpi.kernels.embree import ray_buffer
-from causticmpi.preprocess.lamp_images import CORNERS, STRAIGHT, LampImages, _slopes, _three, on_other_film
+from causticmpi.preprocess.lamp_images import CORNERS, FAINTEST, STRAIGHT, LampImages, _slopes, _three, on_other_film
 from causticmpi.preprocess.lamp_sight import lamp_sight
 from causticmpi.preprocess.lamps import MOST_LAMPS, lamps_of
 from causticmpi.render.pilot import SIGHT_SIDE, find_lamps
@@ -73,6 +73,12 @@ def test_images_in_a_plane_mirror_are_where_geometry_says(tmp_path: Path) -> Non
         assert away[nearest] < 0.05 and made.images.events[nearest] == events and made.images.chance[nearest] == 1
         axes = made.images.axes[nearest]
         np.testing.assert_allclose(axes @ axes.T, CORNERS * variance, atol=0.03 * CORNERS * np.trace(variance))
+    made.prepared.embree.close()
+
+
+def test_a_mirror_that_is_all_but_black_shows_no_images(tmp_path: Path) -> None:
+    made = find(PLANE.replace("reflectance: 0.9", f"reflectance: {FAINTEST / 2:.9f}"), tmp_path, 48, 36)
+    assert made.images.events.tolist() == [STRAIGHT]
     made.prepared.embree.close()
 
 

@@ -99,6 +99,17 @@ def test_images_take_the_noise_and_leave_the_mean(ball: Found, seen: np.ndarray)
     assert variance(ball.looks(None)) > 10 * variance(seen)
 
 
+def test_faint_images_are_met_as_often_as_bright_ones(ball: Found, seen: np.ndarray) -> None:
+    """A look of an image's own meets it in one pass of three, by however many events; one of the grid, never."""
+    faint = (ball.images.chance < 0.003) & (ball.images.events < STRAIGHT << 6)
+    pixels = np.floor(ball.images.place[faint]).astype(int)
+    assert len(pixels) > 3 and (ball.images.events[faint] >= STRAIGHT << 3).all()
+    met, by_chance = (
+        films[:, pixels[:, 1], pixels[:, 0]].any(axis=2).mean(axis=0) for films in (seen, ball.looks(None))
+    )
+    assert (met > 0.1).all() and (by_chance < 0.01).all(), (met, by_chance)
+
+
 def strong(images: LampImages) -> np.ndarray:
     """Images (n,) that even looks of the grid meet often enough to be counted."""
     return (images.events > STRAIGHT) & (2 * np.linalg.det(images.axes) * images.chance > 2e-3)
