@@ -1,12 +1,13 @@
 """Looks at images of lamps: where they go, and that no image, right or wrong, alters what is seen."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import numba
 import numpy as np
 import pytest
 from chi_square import p_value
-from lamp_scenes import BALL, PASSES, PLAIN, REFLECTED, SIDE, Found, find, plain_looks
+from lamp_scenes import BALL, HEAD, PASSES, PLAIN, REFLECTED, SIDE, WALL, Found, find, plain_looks
 from z_test import ALPHA, block_means, compare
 
 from causticmpi.estimators.lamps_in_sight import near_image, near_image_pdf
@@ -150,6 +151,36 @@ def test_wrong_images_leave_the_mean(ball: Found, seen: np.ndarray, how: str) ->
     wrong = ball.looks(WRONG[how](ball.images))
     verdict = compare(block_means(seen, 8), block_means(wrong, 8))
     assert verdict.p > ALPHA, str(verdict)
+
+
+@pytest.mark.statistical
+def test_a_look_at_an_image_counts_no_lamp_that_it_meets_otherwise(tmp_path: Path) -> None:
+    """Beside the edge of a mirror, which cuts an image, a lamp behind it is seen directly."""
+    mirror = (WALL % "mirror").replace("[2, ", "[0.3, ")
+    behind = (WALL % "black, emission: 2").replace("-1]", "-1.2]")
+    lamp = "  - {type: sphere, center: [0.44, 0.5, 1], radius: 0.02, material: black, emission: 30}\n"
+    made = find(HEAD + mirror + behind + lamp, tmp_path)
+    assert REFLECTED in with_images(made.sight, made.images, SIDE, SIDE).events
+    means, others = (block_means(made.looks(images), 8) for images in (made.images, None))
+    assert compare(means, others).p > ALPHA
+    made.prepared.embree.close()
+
+
+@pytest.mark.statistical
+@pytest.mark.parametrize("degrees", [2, 0.7])
+def test_chains_longer_than_any_name(tmp_path: Path, degrees: float) -> None:
+    """Between two mirrors, so narrow a picture shows only what has gone to and fro, some by the roulette."""
+    mirrors = WALL % "mirror"
+    mirrors += "  - {type: quad, corners: [[-2, 2, 4], [2, 2, 4], [2, -2, 4], [-2, -2, 4]], material: mirror}\n"
+    lamp = "  - {type: sphere, center: [0.5, 0.3, 0.5], radius: 0.1, material: black, emission: 30}\n"
+    made = find(HEAD.replace("fov: 45", f"fov: {degrees}") + mirrors + lamp, tmp_path)
+    plain, none = np.zeros((40, SIDE * SIDE, 3)), (np.zeros((0, 2)), np.zeros(0, np.int64))
+    for index, film in enumerate(plain):
+        plain_looks(made.prepared.traced, made.camera, ray_buffer(), 20 * index, 20, SIDE, SIDE, 60, *none, film)
+    means = block_means(made.looks(made.images, 400), 8)
+    verdict = compare(means, block_means(plain.reshape(40, SIDE, SIDE, 3) / 20, 8))
+    assert verdict.p > ALPHA and means.mean() > 0.1, str(verdict)
+    made.prepared.embree.close()
 
 
 @pytest.mark.statistical
