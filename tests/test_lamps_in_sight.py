@@ -18,7 +18,7 @@ from causticmpi.kernels.material_kinds import MIRROR
 from causticmpi.kernels.pixels import pixel_order
 from causticmpi.kernels.vec import INFINITY, WHITE
 from causticmpi.preprocess.forecast import no_forecast
-from causticmpi.preprocess.lamp_sight import LampSight, lamp_sight, seen_in_passing
+from causticmpi.preprocess.lamp_sight import lamp_sight, seen_in_passing
 from causticmpi.render.methods import make_method
 from causticmpi.scene.content import with_camera
 from causticmpi.scene.data import SceneData
@@ -106,7 +106,7 @@ def test_lamps_are_as_bright_as_plain_looks_find(scene: SceneData, side: int) ->
     pixels, work = pixel_order((0, 0, SIDE, SIDE), SIDE), sight_work(side)
     films = np.zeros((PASSES, SIDE * SIDE, 6), np.float32)
     for index, film in enumerate(films):
-        see_lamps(prepared.traced, camera, work, *sight, pixels, 1, index, film)
+        see_lamps(prepared.traced, camera, work, sight, pixels, 1, index, film)
     assert not films[..., 3:].any()
     means, plain_means = (block_means(f.reshape(PASSES, SIDE, SIDE, -1), 8) for f in (films[..., :3], plain))
     assert compare(plain_means, means).p > ALPHA
@@ -122,14 +122,14 @@ def test_tiles_in_any_order_and_company(scene: SceneData) -> None:
     camera = camera_array(scene.camera, SIDE, SIDE)
     pixels, work, sight = pixel_order((0, 0, SIDE, SIDE), SIDE), sight_work(2), lamp_sight(scene, camera, SIDE, SIDE, 2)
     whole, parts, everywhere = np.zeros((3, SIDE * SIDE, 6), np.float32)
-    rays = see_lamps(prepared.traced, camera, work, *sight, pixels, 1, 0, whole)
+    rays = see_lamps(prepared.traced, camera, work, sight, pixels, 1, 0, whole)
     starts = range(0, len(pixels), 16)
     assert rays == sum(
-        see_lamps(prepared.traced, camera, work, *sight, pixels[start : start + 16], 1, 0, parts)
+        see_lamps(prepared.traced, camera, work, sight, pixels[start : start + 16], 1, 0, parts)
         for start in reversed(starts)
     )
     np.testing.assert_array_equal(whole, parts)
-    see_lamps(prepared.traced, camera, work, seen_in_passing().mask, 2, pixels, 1, 0, everywhere)
+    see_lamps(prepared.traced, camera, work, seen_in_passing()._replace(side=2), pixels, 1, 0, everywhere)
     np.testing.assert_array_equal(whole, everywhere)
     assert whole.any()
     prepared.embree.close()
@@ -142,7 +142,7 @@ def test_nothing_else_adds_the_lamps(scene: SceneData) -> None:
     prepared = prepare(scene)
     camera = camera_array(scene.camera, SIDE, SIDE)
     pixels = pixel_order((0, 0, SIDE, SIDE), SIDE)
-    everywhere = LampSight(seen_in_passing().mask, 2)
+    everywhere = seen_in_passing()._replace(side=2)
     for name in ("iws", "iws+cf"):
         config = make_config(method=name)
         common = (config, prepared.traced, camera, no_forecast(), prepared.extent, None)

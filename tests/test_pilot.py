@@ -12,12 +12,14 @@ from causticmpi.distributed.clock import Stopwatch
 from causticmpi.distributed.prepare import prepare_method, share_scene
 from causticmpi.distributed.world import SerialWorld
 from causticmpi.output.picture import RELMSE_FLOOR
+from causticmpi.preprocess.lamp_sight import seen_in_passing
 from causticmpi.render import pilot
 from causticmpi.scene.load import load_scene
 from causticmpi.scene.tracing import camera_array
 from causticmpi.stability.scenes import build, write_scene
 
 SLOTS, BLOCKS = 64, (4, 4)
+SIGHT = seen_in_passing()._replace(side=2)
 
 
 def trial(
@@ -26,8 +28,6 @@ def trial(
     eye_rays: float,
     light_rays: float,
     caustic: np.ndarray | None = None,
-    lamps: float = 0.0,
-    lamp_rays: float = 0.0,
 ) -> pilot.Trial:
     """Of given variance per pass, mean 1; caustic: (2, 4, 4) mean and standard deviation of L_c in each block."""
     n = pilot.PASSES
@@ -36,18 +36,31 @@ def trial(
     def part(mean: float, variance: float, rays: float) -> pilot.Part:
         return pilot.Part(none + n * mean, none + n * mean**2 + variance * (n - 1), rays)
 
-    swing = np.sqrt(lamps * (n - 1) / n) * np.tile([-1.0, 1.0], n // 2)
-    looks = pilot.Lamps(np.broadcast_to(swing[:, None, None], (n, SLOTS, 3)), lamp_rays)
     mean, deviation = np.stack([np.full(BLOCKS, 1.0), np.full(BLOCKS, 0.01)]) if caustic is None else caustic
     return pilot.Trial(
-        part(1.0, eye, eye_rays), part(0.0, light, light_rays), looks,
+        part(1.0, eye, eye_rays), part(0.0, light, light_rays),
         n * mean, n * (mean**2 + deviation**2),
     )  # fmt: skip
 
 
+def looks(grid: float, power: float = 2.0, rays: float = 1.0) -> pilot.Looks:
+    """Looks for lamps, of so many rays: variance of a pass by the grid, and by what power of its side it is below that
+    of single ones."""
+    n = pilot.PASSES
+
+    def lamps(variance: float, count: int) -> pilot.Lamps:
+        swing = np.sqrt(variance * (n - 1) / n) * np.tile([-1.0, 1.0], n // 2)
+        return pilot.Lamps(np.broadcast_to(swing[:, None, None], (n, SLOTS, 3)), count * rays)
+
+    return pilot.Looks(lamps(grid, pilot.SIGHT_SIDE**2), lamps(grid * pilot.SIGHT_SIDE**power, 1))
+
+
+NO_LAMPS = looks(0.0, rays=0.0)
+
+
 def test_light_paths_where_error_times_cost_is_least() -> None:
     plain = trial(100.0, 0.0, 20.0, 0.0)
-    plan = pilot.choose(trial(1.0, 4.0, 20.0, 5.0), plain, 0.5, 2, RELMSE_FLOOR)
+    plan = pilot.choose(trial(1.0, 4.0, 20.0, 5.0), plain, NO_LAMPS, 0.5, SIGHT, RELMSE_FLOOR)
     assert not plan.plain and plan.paths_per_pixel == pytest.approx(0.5 * 4.0)
 
     def score(more: float) -> float:
@@ -56,15 +69,35 @@ def test_light_paths_where_error_times_cost_is_least() -> None:
     assert plan.forecast_score == pytest.approx(score(4.0))
     assert score(4.0) < min(score(3.0), score(5.0))
     hopeless = trial(1e12, 0.0, 20.0, 0.0)
-    assert pilot.choose(trial(1.0, 1e9, 20.0, 5.0), hopeless, 0.5, 2, RELMSE_FLOOR).paths_per_pixel == pilot.MOST_PATHS
-    assert pilot.choose(trial(1.0, 0.0, 20.0, 0.0), plain, 0.0, 2, RELMSE_FLOOR).paths_per_pixel == 0
+    most = pilot.choose(trial(1.0, 1e9, 20.0, 5.0), hopeless, NO_LAMPS, 0.5, SIGHT, RELMSE_FLOOR)
+    assert most.paths_per_pixel == pilot.MOST_PATHS
+    assert pilot.choose(trial(1.0, 0.0, 20.0, 0.0), plain, NO_LAMPS, 0.0, SIGHT, RELMSE_FLOOR).paths_per_pixel == 0
 
 
 def test_looks_for_lamps_where_error_times_cost_is_least() -> None:
     plain = trial(1e12, 0.0, 20.0, 0.0)
     for variance, side in ((0.2, 2), (1e-3, 0), (1e6, pilot.MOST_SIDE), (0.0, 2)):
-        plan = pilot.choose(trial(1.0, 4.0, 20.0, 5.0, None, variance, 4.0), plain, 0.5, 2, RELMSE_FLOOR)
+        plan = pilot.choose(trial(1.0, 4.0, 20.0, 5.0), plain, looks(variance), 0.5, SIGHT, RELMSE_FLOOR)
         assert plan.sight_side == side
+
+
+def test_a_grid_of_another_side_is_foretold_from_two() -> None:
+    rest = np.ones((SLOTS, 3))
+    for power, taken in ((0.5, 2.0), (2.4, 2.4), (5.0, 3.0)):
+        of = [looks(0.2, power).of(side, rest, RELMSE_FLOOR) for side in range(4)]
+        expected = [(2 / max(1, side)) ** taken for side in range(4)]
+        assert [error / of[2][0] for error, _ in of] == pytest.approx(expected, rel=0.03)
+        assert [rays for _, rays in of] == pytest.approx([0, 1, 4, 9])
+        assert of[2][0] == pytest.approx(0.2 / (1 + RELMSE_FLOOR), rel=0.05)
+
+
+def test_where_images_are_known_a_grid_shares_them() -> None:
+    """Lamps seen in passing would have no part in the looks at images, however little those leave to be found."""
+    images = SIGHT._replace(first=np.zeros(2, np.int32))
+    quiet, noisy = trial(1.0, 0.0, 20.0, 0.0), trial(1e12, 0.0, 20.0, 0.0)
+    for forecast, plain in ((quiet, noisy), (noisy, quiet)):
+        assert pilot.choose(forecast, plain, looks(1e-3), 0.5, SIGHT, RELMSE_FLOOR).sight_side == 0
+        assert pilot.choose(forecast, plain, looks(1e-3), 0.5, images, RELMSE_FLOOR).sight_side == 1
 
 
 def test_a_glint_met_once_is_no_bright_pixel() -> None:
@@ -83,15 +116,15 @@ def test_a_glint_met_once_is_no_bright_pixel() -> None:
 
 def test_plain_sampling_is_chosen_where_it_pays_and_sees() -> None:
     forecast = trial(1.0, 1.0, 20.0, 20.0)
-    assert pilot.choose(forecast, trial(1.0, 0.0, 20.0, 0.0), 1.0, 2, RELMSE_FLOOR).plain
-    assert not pilot.choose(forecast, trial(3.5, 0.0, 20.0, 0.0), 1.0, 2, RELMSE_FLOOR).plain
+    assert pilot.choose(forecast, trial(1.0, 0.0, 20.0, 0.0), NO_LAMPS, 1.0, SIGHT, RELMSE_FLOOR).plain
+    assert not pilot.choose(forecast, trial(3.5, 0.0, 20.0, 0.0), NO_LAMPS, 1.0, SIGHT, RELMSE_FLOOR).plain
     caustic = np.stack([np.full(BLOCKS, 1.0), np.full(BLOCKS, 0.01)])
     caustic[0, 1, 2] = 0.9  # one block is darker by 10 of its standard deviations
-    assert not pilot.choose(forecast, trial(1.0, 0.0, 20.0, 0.0, caustic), 1.0, 2, RELMSE_FLOOR).plain
+    assert not pilot.choose(forecast, trial(1.0, 0.0, 20.0, 0.0, caustic), NO_LAMPS, 1.0, SIGHT, RELMSE_FLOOR).plain
     caustic[0, 1, 2] = 1.1  # brighter is no sign of blindness
-    assert pilot.choose(forecast, trial(1.0, 0.0, 20.0, 0.0, caustic), 1.0, 2, RELMSE_FLOOR).plain
+    assert pilot.choose(forecast, trial(1.0, 0.0, 20.0, 0.0, caustic), NO_LAMPS, 1.0, SIGHT, RELMSE_FLOOR).plain
     caustic[1] = 8.0  # the whole is not known to a tenth
-    assert not pilot.choose(forecast, trial(1.0, 0.0, 20.0, 0.0, caustic), 1.0, 2, RELMSE_FLOOR).plain
+    assert not pilot.choose(forecast, trial(1.0, 0.0, 20.0, 0.0, caustic), NO_LAMPS, 1.0, SIGHT, RELMSE_FLOOR).plain
 
 
 def config_of(scene: Path, *settings: str) -> RenderConfig:
