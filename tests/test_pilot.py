@@ -105,7 +105,7 @@ def test_a_glint_met_once_is_no_bright_pixel() -> None:
     passes = np.zeros((pilot.PASSES, 2, 3), np.float32)
     passes[3, 0] = 160.0
     passes[:, 1] = 80.0 + np.tile([-1.0, 1.0], pilot.PASSES // 2)[:, None]
-    glint, lamp = (pilot.Lamps(passes[:, i : i + 1], 1.0).error(np.full((1, 3), 0.5), 0.01) for i in (0, 1))
+    glint, lamp = (pilot.Lamps(passes[:, i : i + 1], 1.0).errors(np.full((1, 3), 0.5), 0.01)[0] for i in (0, 1))
     variance = passes.astype(np.float64).var(axis=0, ddof=1)[:, 0]
     others = 160 / (pilot.PASSES - 1)
     quiet = (pilot.PASSES - 1) * others**2 / ((0.5 + others) ** 2 + 0.01) * (pilot.PASSES - 1) / pilot.PASSES
@@ -151,7 +151,8 @@ def test_a_light_too_small_for_plain_sampling(tmp_path: Path) -> None:
 
 def test_a_light_so_large_that_the_forecast_does_not_pay(tmp_path: Path) -> None:
     scene = write_scene(build("box", {"light": 1.9}), tmp_path / "large.yaml")
-    plan = plan_of(config_of(scene, "film.width=64", "film.height=64", "forecast.light_tracing=false"))
+    settings = "film.width=64", "film.height=64", "forecast.light_tracing=false", "forecast.splitting=4"
+    plan = plan_of(config_of(scene, *settings))
     assert plan is not None and plan.plain
 
 

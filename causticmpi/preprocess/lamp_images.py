@@ -33,9 +33,9 @@ FAINTEST = np.float32(1e-5)
 STARTS = 32768
 """Places of the picture that the search starts from, at least; one in every pixel at least."""
 MOST_IMAGES = 2048
-CORNERS = 6.0
-"""Squared size of the ellipse of an image, over the variance of the lamp's points along an axis: that of a square goes
-through its corners."""
+WIDE = 4.0
+"""Squared half axis of the ellipse of an image, over the variance of the lamp's points: that of a square reaches a
+little beyond its sides."""
 _STEPS = 8
 _REACH, _FARTHEST = 2.0, 4.0
 """Longest first step, and the way from its start that a search may go, over the distance of starts: farther off, other
@@ -125,7 +125,7 @@ def _ellipse(xx, xy, yy):
     mean, half = 0.5 * (xx + yy), 0.5 * (xx - yy)
     gap = math.sqrt(half * half + xy * xy)
     angle = 0.5 * math.atan2(xy, half)
-    longer, shorter = math.sqrt(CORNERS * (mean + gap)), math.sqrt(CORNERS * max(0.0, mean - gap))
+    longer, shorter = math.sqrt(WIDE * (mean + gap)), math.sqrt(WIDE * max(0.0, mean - gap))
     longer, shorter = min(_LARGEST, max(_SMALLEST, longer)), min(_LARGEST, max(_SMALLEST, shorter))
     return math.cos(angle), math.sin(angle), longer, shorter
 

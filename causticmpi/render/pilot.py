@@ -96,14 +96,15 @@ class Lamps:
     passes: np.ndarray
     rays: float
 
-    def error(self, rest: np.ndarray, floor: float) -> float:
-        """Mean relative squared error of one pass; rest (slots, 3): radiance without lamps.
+    def errors(self, rest: np.ndarray, floor: float) -> np.ndarray:
+        """Relative squared error of one pass (slots,); rest (slots, 3): radiance without lamps.
 
         The level of a pass is that of all others: a glint met once must not pass for a bright pixel.
         """
         others = (self.passes.sum(axis=0) - self.passes) / (PASSES - 1)
         squares = (self.passes - others) ** 2 * ((PASSES - 1) / PASSES)
-        return float((squares / ((rest + others) ** 2 + floor)).mean())
+        errors: np.ndarray = (squares / ((rest + others) ** 2 + floor)).mean(axis=(0, 2))
+        return errors
 
 
 @dataclass(frozen=True)
@@ -115,8 +116,13 @@ class Looks:
 
     def of(self, side: int, rest: np.ndarray, floor: float) -> tuple[float, float]:
         """Mean relative squared error that side x side looks leave in a pass, and their rays for a pixel; 0: a single
-        one, that comes for nothing. rest (slots, 3): radiance without lamps."""
-        grid, single = self.grid.error(rest, floor), self.single.error(rest, floor)
+        one, that comes for nothing. rest (slots, 3): radiance without lamps.
+
+        Without the worst pixel: one glint met once does not tell how often it is met.
+        """
+        grid, single = (
+            float(np.sort(lamps.errors(rest, floor))[:-1].sum() / len(rest)) for lamps in (self.grid, self.single)
+        )
         power = math.log2(single / grid) / math.log2(SIGHT_SIDE) if grid > 0 and single > 0 else AT_RANDOM
         error = grid * (SIGHT_SIDE / max(1, side)) ** min(max(power, AT_RANDOM), EVEN)
         each = (self.grid.rays - self.single.rays) / (SIGHT_SIDE**2 - 1)
