@@ -131,7 +131,8 @@ ROOM = HEAD + WALL % "white"
 
 
 def test_without_small_images_lamps_are_seen_as_before(tmp_path: Path) -> None:
-    large = "  - {type: quad, corners: [[-1, 1, 1], [-1, 1, 0], [1, 1, 0], [1, 1, 1]], material: black, emission: 3}\n"
+    square = "[[-1, -1, %s], [1, -1, %s], [1, 1, %s], [-1, 1, %s]]"
+    large = "  - {type: quad, corners: " + square.replace("%s", "-0.9") + ", material: black, emission: 9}\n"
     behind = "  - {type: sphere, center: [0, 0, 5], radius: 0.1, material: black, emission: 3}\n"
     for lamp, visible in ((large, True), (behind, False)):
         scene = scene_from(ROOM + lamp, tmp_path)
@@ -185,3 +186,22 @@ def test_derivatives_at_a_rim_are_those_beside_it(tmp_path: Path) -> None:
         assert run_slopes(made.prepared.traced, made.camera, ray_buffer(), *place, middle, tangents, out)
     np.testing.assert_allclose(slopes[1:], np.tile(slopes[0], (2, 1)), atol=0.03 * np.abs(slopes[0]).max())
     made.prepared.embree.close()
+
+
+def test_no_image_of_a_lamp_whose_middle_lies_behind_the_eye(tmp_path: Path) -> None:
+    """Such a lamp is lit where the search starts, yet no ray of the picture leads to its middle."""
+    strip = "[[-0.1, 1, 20], [0.1, 1, 20], [0.1, 1, -0.9], [-0.1, 1, -0.9]]"
+    made = find(HEAD + f"  - {{type: quad, corners: {strip}, material: black, emission: 9}}\n", tmp_path, 48, 36)
+    assert len(made.images.place) == 0
+    made.prepared.embree.close()
+
+
+def test_a_lamp_that_chance_meets_has_few_images(tmp_path: Path) -> None:
+    """A large one has no more than its middle's, however many starts are lit, and its reflections in a pane."""
+    square = "[[-1, -1, %s], [1, -1, %s], [1, 1, %s], [-1, 1, %s]]"
+    large = "  - {type: quad, corners: " + square.replace("%s", "-0.9") + ", material: black, emission: 9}\n"
+    pane = "  - {type: quad, corners: " + square.replace("%s", "2") + ", material: glass}\n"
+    for shapes, most in ((large, 1), (large + pane, 10)):
+        made = find(HEAD + shapes, tmp_path, 48, 36)
+        assert len(made.images.place) <= most
+        made.prepared.embree.close()

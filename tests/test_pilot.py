@@ -43,16 +43,16 @@ def trial(
     )  # fmt: skip
 
 
-def looks(grid: float, power: float = 2.0, rays: float = 1.0) -> pilot.Looks:
+def looks(grid: float, power: float = 2.0, rays: float = 1.0) -> pilot.LampTrial:
     """Looks for lamps, of so many rays: variance of a pass by the grid, and by what power of its side it is below that
     of single ones."""
     n = pilot.PASSES
 
-    def lamps(variance: float, count: int) -> pilot.Lamps:
+    def lamps(variance: float, count: int) -> pilot.LampPasses:
         swing = np.sqrt(variance * (n - 1) / n) * np.tile([-1.0, 1.0], n // 2)
-        return pilot.Lamps(np.broadcast_to(swing[:, None, None], (n, SLOTS, 3)), count * rays)
+        return pilot.LampPasses(np.broadcast_to(swing[:, None, None], (n, SLOTS, 3)), count * rays)
 
-    return pilot.Looks(lamps(grid, pilot.SIGHT_SIDE**2), lamps(grid * pilot.SIGHT_SIDE**power, 1))
+    return pilot.LampTrial(lamps(grid, pilot.SIGHT_SIDE**2), lamps(grid * pilot.SIGHT_SIDE**power, 1))
 
 
 NO_LAMPS = looks(0.0, rays=0.0)
@@ -105,7 +105,7 @@ def test_a_glint_met_once_is_no_bright_pixel() -> None:
     passes = np.zeros((pilot.PASSES, 2, 3), np.float32)
     passes[3, 0] = 160.0
     passes[:, 1] = 80.0 + np.tile([-1.0, 1.0], pilot.PASSES // 2)[:, None]
-    glint, lamp = (pilot.Lamps(passes[:, i : i + 1], 1.0).errors(np.full((1, 3), 0.5), 0.01)[0] for i in (0, 1))
+    glint, lamp = (pilot.LampPasses(passes[:, i : i + 1], 1.0).errors(np.full((1, 3), 0.5), 0.01)[0] for i in (0, 1))
     variance = passes.astype(np.float64).var(axis=0, ddof=1)[:, 0]
     others = 160 / (pilot.PASSES - 1)
     quiet = (pilot.PASSES - 1) * others**2 / ((0.5 + others) ** 2 + 0.01) * (pilot.PASSES - 1) / pilot.PASSES

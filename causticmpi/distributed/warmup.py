@@ -156,7 +156,8 @@ def warm_up(config: RenderConfig, root: bool, forecasting: bool) -> bool:
         maps = share_maps(world, no_photon_map(config.photon_map.neighbours))
     else:
         maps = share_maps(world, tiny_maps() if forecasting else forecast.no_forecast())
-    method = make_method(config, scene.traced, camera, maps, 1.0)
+    everywhere = lamp_sight.seen_in_passing()._replace(side=1)
+    method = make_method(config, scene.traced, camera, maps, 1.0, sight=everywhere)
     method.begin_pass(0)
     pass_film = np.zeros((16, 6), np.float32)
     method.trace(pixels, pass_film)

@@ -44,7 +44,7 @@ ANY, NAMELESS = 0, 0
 FILM_POSITION, CHAIN = 0, 1
 """Dimensions of a look's key; CHAIN + i is of its i-th specular event."""
 OWN = 16
-"""Number of the first look at an image: those of the grid come before."""
+"""Number of the first look at an image: those of the grid come before, of 4 a side at most."""
 
 
 class Looks(NamedTuple):
@@ -177,8 +177,9 @@ def _arrive(scene, sight, work, waiting, neighbours):
             _, n, _ = hit_point(scene, primitive, origin, direction, t)
             light = emitted(scene, primitive, n, direction)
             row, chance = now.reals[i], now.reals[i, CHANCE]
+            own = _own_density(sight, work.number[pixel], events, row[AT], row[AT + 1])
             # The throughput is over the chance of events taken as they come, whichever way these were taken.
-            share = chance / (grid * chance + _own_density(sight, work.number[pixel], events, row[AT], row[AT + 1]))
+            share = chance / (grid * chance + own) if own > ZERO else ONE / grid
             for c in range(3):
                 work.light[pixel, c] += row[THROUGHPUT + c] * light[c] * share
     return waiting, traced
@@ -229,8 +230,8 @@ def _go_on(scene, work, waiting):
 def see_lamps(scene, camera, work, sight, pixels, seed, pass_index, film):
     """Add the lamps that the eye sees to L_d of every row of `pixels` (n, 4), n a multiple of 16.
 
-    work: of `sight_work(side)`; sight: see `LampSight`; a pixel gets side x side looks, one in each part of a grid over
-    it, and one at each of its small images. Returns rays traced.
+    work: of `sight_work` of this side or more; sight: see `LampSight`; a pixel gets side x side looks, one in each part
+    of a grid over it, and one at each of its small images. Returns rays traced.
     """
     traced = 0
     side = sight.side

@@ -50,8 +50,7 @@ class Chains(NamedTuple):
 
 class Witnesses(NamedTuple):
     """Workspace: known (m,): photons of each chain that a place has already; brightness (room,): of the chains that
-    photons stand for; photon (ROWS, WITNESSES), offset and rest, for `settle`; distance to gap, for the
-    search."""
+    photons stand for; photon (ROWS, WITNESSES), offset and rest, for `settle`; distance to gap, for the search."""
 
     known: Any
     brightness: Any

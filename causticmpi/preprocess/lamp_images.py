@@ -28,11 +28,13 @@ from causticmpi.scene.tracing import SHAPE
 STRAIGHT = 1
 """Events of a look that meets nothing specular: each adds a bit behind the others, 1 if it reflects."""
 MOST_EVENTS = 12
+"""Of the chain of an image that is looked for."""
 FAINTEST = np.float32(1e-5)
 """Of a lamp's radiance, that of an image that is looked for."""
 STARTS = 32768
-"""Places of the picture that the search starts from, at least; one in every pixel at least."""
+"""Places of the picture that the search starts from, at most, unless it has more pixels to be searched."""
 MOST_IMAGES = 2048
+"""What else is found is left to chance."""
 WIDE = 4.0
 """Squared half axis of the ellipse of an image, over the variance of the lamp's points: that of a square reaches a
 little beyond its sides."""
@@ -181,7 +183,7 @@ def _approach(scene, camera, rays, x, y, three, chance, events, middle, variance
     lit: the lamp is seen where it starts: then, if the middle is not to be had, the image is there.
     """
     first_x, first_y = x, y
-    found, likely, ellipse = False, ONE, (1.0, 0.0, _SMALLEST, _SMALLEST)
+    found, here, likely, ellipse = False, False, ONE, (1.0, 0.0, _SMALLEST, _SMALLEST)
     for step in range(_STEPS):
         if step > 0:
             known, three, chance = _three(scene, camera, rays, x, y, events)
@@ -196,6 +198,7 @@ def _approach(scene, camera, rays, x, y, three, chance, events, middle, variance
         size2, turned = _image(variance, change, tangents)
         if step == 0:
             likely, ellipse = chance, turned
+            here = lit and turned[3] < _LARGEST  # chance meets larger ones, and other starts the middle
             if lit:
                 spacing = max(spacing, turned[2])  # the middle may lie as far
         if a * a + b * b <= _MET * size2:
@@ -208,7 +211,7 @@ def _approach(scene, camera, rays, x, y, three, chance, events, middle, variance
         if (x - first_x) ** 2 + (y - first_y) ** 2 > (_FARTHEST * spacing) ** 2:
             break
     if not found:
-        x, y, found = first_x, first_y, lit
+        x, y, found = first_x, first_y, here
     return found, x, y, ellipse, likely
 
 
@@ -217,16 +220,28 @@ def _shines(scene, camera, rays, x, y, c, s, longer, shorter, events):
     """Whether a lamp is seen at enough of a few places of an ellipse, by the events."""
     seen = 0
     for k in range(_LOOKS):
-        u, v = turn(np.float32(k) / np.float32(_LOOKS))
+        u, v = turn(np.float32(max(0, k - 1)) / np.float32(_LOOKS - 1))
         far = 0.5 if k else 0.0
         right, down = far * longer * u, far * shorter * v
         at_x, at_y = x + c * right - s * down, y + s * right + c * down
-        alive, origin, direction, primitive, t, throughput, chance = _follow(scene, camera, rays, at_x, at_y, events)
+        alive, origin, direction, primitive, t, throughput, _ = _follow(scene, camera, rays, at_x, at_y, events)
         if alive and primitive >= 0:
             _, n, _ = hit_point(scene, primitive, origin, direction, t)
-            light = vec.mul(emitted(scene, primitive, n, direction), throughput)
-            seen += vec.max3(light) * chance > ZERO
+            seen += vec.max3(vec.mul(emitted(scene, primitive, n, direction), throughput)) > ZERO
     return seen >= _ENOUGH
+
+
+@inline
+def _is_known(found, count, x, y, events, lamp):
+    """Whether a place by these events is one of `count` images of the lamp."""
+    known = False
+    for k in range(count):
+        right, down = x - found[k, 0], y - found[k, 1]
+        along = (found[k, 2] * right + found[k, 3] * down) / found[k, 4]
+        beside = (found[k, 2] * down - found[k, 3] * right) / found[k, 5]
+        of_it = found[k, 7] == events and found[k, 8] == lamp
+        known |= of_it and along * along + beside * beside < _SAME
+    return known
 
 
 @kernel
@@ -261,14 +276,9 @@ def _search(scene, camera, rays, starts, spacing, middles, variances, shapes, wa
                 if not near or count == found.shape[0]:
                     continue
                 c, s, longer, shorter = ellipse
-                same = False
-                for k in range(count):
-                    right, down = x - found[k, 0], y - found[k, 1]
-                    along = (found[k, 2] * right + found[k, 3] * down) / found[k, 4]
-                    beside = (found[k, 2] * down - found[k, 3] * right) / found[k, 5]
-                    of_it = found[k, 7] == events and found[k, 8] == lamp
-                    same |= of_it and along * along + beside * beside < _SAME
-                if not same and _shines(scene, camera, rays, x, y, c, s, longer, shorter, events):
+                if not _is_known(found, count, x, y, events, lamp) and _shines(
+                    scene, camera, rays, x, y, c, s, longer, shorter, events
+                ):
                     row = found[count]
                     row[0], row[1], row[2], row[3], row[4], row[5] = x, y, c, s, longer, shorter
                     row[6], row[7], row[8] = likely, events, lamp

@@ -19,15 +19,15 @@ NEAR = 1e-6
 """What crosses the plane of the eye is cut off at this fraction of its depth."""
 
 
-GAIN = 4.0
-"""An image gets looks of its own in a pixel where, in its middle, they lie so many times as dense as a single look at a
-random place whose events are its own by chance."""
+DENSER, WIDEST = 4.0, 0.6
+"""An image gets looks of its own where, in its middle, they lie so many times as dense as a single look at a random
+place whose events are its own by chance; half axes of the places of such looks, at most [pixels]."""
 MOST_OWN = 8
-"""Such looks in a pixel."""
+"""Looks at images in a pixel: at those that are likeliest to be met by chance."""
 AROUND = 1.5
 """They are sent to pixels that an ellipse so many times as large touches."""
-WIDEST, CORNER = 0.6, 0.71
-"""Half axes of the places of such looks, at most, and how far the corners of a pixel lie from its middle [pixels]."""
+CORNER = 0.71
+"""How far the corners of a pixel lie from its middle [pixels]."""
 PLACE, AXES, INVERSE, PEAK, COLUMNS = 0, 2, 6, 10, 11
 """First columns of `LampSight.image`."""
 
@@ -81,35 +81,34 @@ def with_images(sight: LampSight, images: LampImages, width: int, height: int) -
 
 def _own_looks(images: LampImages, width: int, height: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """`first`, `image` and `events` of a LampSight."""
-    pixel, rows, events, order = [], [], [], []
-    for place, axes, its_events, chance in zip(*images, strict=True):
-        turned, half, _ = np.linalg.svd(axes)
-        narrow = np.minimum(half, WIDEST)
-        peak = 1 / (math.pi * narrow.prod())
-        if peak < GAIN * chance:
-            continue
-        extent = np.abs(turned) @ (AROUND * half)
-        low, high = np.floor(place - extent).astype(int), np.floor(place + extent).astype(int) + 1
+    turned, half, _ = np.linalg.svd(images.axes)
+    narrow = np.minimum(half, WIDEST)
+    peak = 1 / (math.pi * narrow.prod(axis=1))
+    pixels, owners = [np.zeros(0, np.int64)], [np.zeros(0, np.int32)]
+    for i in np.flatnonzero(peak >= DENSER * images.chance):
+        extent = np.abs(turned[i]) @ (AROUND * half[i])
+        low, high = (np.floor(images.place[i] + way * extent).astype(int) for way in (-1, 1))
         x, y = np.meshgrid(
-            *(np.arange(max(0, a), min(b, c)) for a, b, c in zip(low, high, (width, height), strict=True))
+            *(np.arange(max(0, a), min(b + 1, c)) for a, b, c in zip(low, high, (width, height), strict=True))
         )
-        away = (np.stack([x.ravel(), y.ravel()], axis=1) + 0.5 - place) @ turned
-        touched = (np.abs(away) <= AROUND * half + CORNER).all(axis=1)
-        # Of an ellipse longer than a pixel each pixel has its own part.
-        reach = np.maximum(half - 0.5, 0)
-        middle = place + np.clip(away[touched], -reach, reach) @ turned.T
-        rest = np.concatenate([(turned * narrow).ravel(), (turned / narrow).T.ravel(), [peak]])
-        rows.append(np.concatenate([middle, np.tile(rest, (len(middle), 1))], axis=1))
-        pixel.append((y.ravel() * width + x.ravel())[touched])
-        events.append(np.full(len(middle), its_events))
-        order.append(np.full(len(middle), -chance * half.prod()))
-    if not rows:
-        return np.zeros(0, np.int32), np.zeros((0, COLUMNS), np.float32), np.zeros(0, np.int64)
-    pixels, ranks = np.concatenate(pixel), np.lexsort((np.concatenate(order), np.concatenate(pixel)))
-    place_in = np.arange(len(ranks)) - np.searchsorted(pixels[ranks], pixels[ranks])
-    kept = ranks[place_in < MOST_OWN]
-    first = np.searchsorted(pixels[kept], np.arange(width * height + 1)).astype(np.int32)
-    return first, np.concatenate(rows)[kept].astype(np.float32), np.concatenate(events)[kept].astype(np.int64)
+        away = np.abs((np.stack([x.ravel(), y.ravel()], axis=1) + 0.5 - images.place[i]) @ turned[i])
+        pixels.append((y * width + x).ravel()[(away <= AROUND * half[i] + CORNER).all(axis=1)])
+        owners.append(np.full(len(pixels[-1]), i, np.int32))
+    pixel, owner = np.concatenate(pixels), np.concatenate(owners)
+    order = np.lexsort((-(images.chance * half.prod(axis=1))[owner], pixel))
+    kept = order[np.arange(len(order)) - np.searchsorted(pixel[order], pixel[order]) < MOST_OWN]
+    pixel, owner = pixel[kept], owner[kept]
+    # Of an ellipse longer than a pixel each pixel has its own part.
+    away = np.stack([pixel % max(1, width), pixel // max(1, width)], axis=1) + 0.5 - images.place[owner]
+    reach = np.maximum(half - 0.5, 0)[owner]
+    along = np.clip(np.einsum("ij,ijk->ik", away, turned[owner]), -reach, reach)
+    image = np.empty((len(pixel), COLUMNS), np.float32)
+    image[:, PLACE:AXES] = images.place[owner] + np.einsum("ijk,ik->ij", turned[owner], along)
+    image[:, AXES:INVERSE] = (turned * narrow[:, None])[owner].reshape(-1, 4)
+    image[:, INVERSE:PEAK] = (turned / narrow[:, None]).transpose(0, 2, 1)[owner].reshape(-1, 4)
+    image[:, PEAK] = peak[owner]
+    first = np.searchsorted(pixel, np.arange(width * height + 1 if len(pixel) else 0)).astype(np.int32)
+    return first, image, images.events[owner]
 
 
 def _marked(scene: SceneData, camera: np.ndarray, width: int, height: int) -> np.ndarray:

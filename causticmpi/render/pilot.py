@@ -90,7 +90,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Lamps:
+class LampPasses:
     """The part of lamps in sight. passes (PASSES, slots, 3): what each pass saw of them; rays: as of a Part."""
 
     passes: np.ndarray
@@ -108,11 +108,11 @@ class Lamps:
 
 
 @dataclass(frozen=True)
-class Looks:
+class LampTrial:
     """Looks for lamps, the same for both ways: a grid of SIGHT_SIDE a side, and single ones."""
 
-    grid: Lamps
-    single: Lamps
+    grid: LampPasses
+    single: LampPasses
 
     def of(self, side: int, rest: np.ndarray, floor: float) -> tuple[float, float]:
         """Mean relative squared error that side x side looks leave in a pass, and their rays for a pixel; 0: a single
@@ -198,8 +198,9 @@ def find_lamps(data: SceneData, scene: TracedScene, film: Film, seed: int) -> tu
     eye = camera_array(data.camera, small.width, small.height)
     sight = lamp_sight(data, eye, small.width, small.height, SIGHT_SIDE)
     images = find_images(data, scene, eye, small.width, sight.mask)
-    if len(images.place):
-        return with_images(sight, images, small.width, small.height), images
+    sight = with_images(sight, images, small.width, small.height)
+    if sight.knows_images:
+        return sight, images
     seen = np.zeros((small.width * small.height, 6), np.float32)
     pixels, work = pixel_order(small.window, small.width), sight_work(SIGHT_SIDE)
     for index in range(FIRST_PASS, FIRST_PASS + LOOK_PASSES):
@@ -207,9 +208,11 @@ def find_lamps(data: SceneData, scene: TracedScene, film: Film, seed: int) -> tu
     return sight if seen.any() else seen_in_passing(), images
 
 
-def choose(forecast: Trial, plain: Trial, looks: Looks, paths_per_pixel: float, sight: LampSight, floor: float) -> Plan:
-    """The way of less error times cost; paths_per_pixel, sight: what `forecast` was tried with, the best paths and side
-    are found; floor: of the relative squared error [radiance^2]."""
+def choose(
+    forecast: Trial, plain: Trial, looks: LampTrial, paths_per_pixel: float, sight: LampSight, floor: float
+) -> Plan:
+    """The way of less error times cost; paths_per_pixel: what `forecast` was tried with, sight: what `looks` were, the
+    best paths and side are found; floor: of the relative squared error [radiance^2]."""
     rest = (forecast.rest + plain.rest) / 2
     score, paths, best_side = _best(forecast, looks, paths_per_pixel, sight, rest, floor)
     plain_score, _, plain_side = _best(plain, looks, 0.0, sight, rest, floor)
@@ -218,7 +221,7 @@ def choose(forecast: Trial, plain: Trial, looks: Looks, paths_per_pixel: float, 
 
 
 def _best(
-    trial: Trial, looks: Looks, paths_per_pixel: float, sight: LampSight, rest: np.ndarray, floor: float
+    trial: Trial, looks: LampTrial, paths_per_pixel: float, sight: LampSight, rest: np.ndarray, floor: float
 ) -> tuple[float, float, int]:
     """Least error times cost, and what gives it: light paths for every pixel, side of the grid of looks for lamps."""
     weight = 1 / ((rest + looks.grid.passes.mean(axis=0)) ** 2 + floor)
@@ -237,7 +240,7 @@ def _best(
 
     # Small images that are known have looks of their own: a grid is there to share what chance meets of them.
     fewest = 1 if sight.knows_images else 0
-    best = min(range(fewest, MOST_SIDE + 1), key=score) if looks.of(1, rest, floor)[0] > 0 else sight.side
+    best = min(range(fewest, MOST_SIDE + 1), key=score) if looks.of(1, rest, floor)[0] > 0 else fewest or sight.side
     return score(best), more * paths_per_pixel, best
 
 
@@ -256,7 +259,7 @@ def _mean_and_error(total: np.ndarray, squares: np.ndarray) -> tuple[np.ndarray,
     return mean, np.sqrt(np.maximum(squares / PASSES - mean * mean, 0) / (PASSES - 1))
 
 
-def _try_looks(scene: TracedScene, camera: np.ndarray, sight: LampSight, film: Film, seed: int) -> Looks:
+def _try_looks(scene: TracedScene, camera: np.ndarray, sight: LampSight, film: Film, seed: int) -> LampTrial:
     """PASSES passes of looks at a film, of what is not seen in passing."""
     pixels, work = pixel_order(film.window, film.width), sight_work(SIGHT_SIDE)
     seen = np.zeros((2, PASSES, film.width * film.height, 3), np.float32)
@@ -268,7 +271,7 @@ def _try_looks(scene: TracedScene, camera: np.ndarray, sight: LampSight, film: F
             rays[i] += see_lamps(scene, camera, work, own, pixels, seed, FIRST_PASS + index, lamps)
             seen[i, index] = lamps[:, :3]
     cost = rays * SIGHT_RAY / (PASSES * film.width * film.height)
-    return Looks(*(Lamps(passes, float(a)) for passes, a in zip(seen, cost, strict=True)))
+    return LampTrial(*(LampPasses(passes, float(a)) for passes, a in zip(seen, cost, strict=True)))
 
 
 def _try(method: Method, film: Film, ray: float) -> Trial:
