@@ -176,12 +176,15 @@ def _arrive(scene, sight, work, waiting, neighbours):
                 continue
             _, n, _ = hit_point(scene, primitive, origin, direction, t)
             light = emitted(scene, primitive, n, direction)
-            row, chance = now.reals[i], now.reals[i, CHANCE]
+            row = now.reals[i]
             own = _own_density(sight, work.number[pixel], events, row[AT], row[AT + 1])
-            # The throughput is over the chance of events taken as they come, whichever way these were taken.
-            share = chance / (grid * chance + own) if own > ZERO else ONE / grid
+            if own > ZERO:
+                # The throughput is over the chance of events taken as they come, whichever way these were taken.
+                by_grid = grid * row[CHANCE]
+                for c in range(3):
+                    row[THROUGHPUT + c] *= by_grid / (by_grid + own)
             for c in range(3):
-                work.light[pixel, c] += row[THROUGHPUT + c] * light[c] * share
+                work.light[pixel, c] += row[THROUGHPUT + c] * light[c]
     return waiting, traced
 
 
@@ -235,7 +238,7 @@ def see_lamps(scene, camera, work, sight, pixels, seed, pass_index, film):
     """
     traced = 0
     side = sight.side
-    step = ONE / np.float32(side)
+    share, step = ONE / np.float32(side * side), ONE / np.float32(side)
     for first in range(0, pixels.shape[0], LANES):
         waiting = lane = rays = 0
         for i in range(LANES):
@@ -279,5 +282,5 @@ def see_lamps(scene, camera, work, sight, pixels, seed, pass_index, film):
         for i in range(LANES):
             if pixels[first + i, 0] >= 0:
                 for c in range(3):
-                    film[pixels[first + i, 3], c] += work.light[i, c]
+                    film[pixels[first + i, 3], c] += work.light[i, c] * share
     return traced
