@@ -67,9 +67,11 @@ def run_values(scene, material, n, wo, wi, f, pdf):
 
 
 @numba.njit
-def run_specular(scene, material, n, direction, u, out, weight, eta, refracted):
+def run_specular(scene, material, n, direction, u, out, weight, eta, refracted, chance):
     for i in range(u.shape[0]):
-        d, w, eta[i], refracted[i] = bsdf.scatter_specular(scene, material, vec.row(n, 0), vec.row(direction, i), u[i])
+        d, w, eta[i], refracted[i], chance[i] = bsdf.scatter_specular(
+            scene, material, vec.row(n, 0), vec.row(direction, i), u[i]
+        )
         for c in range(3):
             out[i, c], weight[i, c] = d[c], w[c]
 

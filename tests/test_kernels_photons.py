@@ -148,7 +148,7 @@ def tell_chain(scene, shape, rays, origin, direction, key, told):
         if not is_specular(scene.kind[material]):
             return
         choice, _ = rng.uniform2(key, event)
-        out, _, _, _ = bsdf.scatter_specular(scene, material, n, direction, choice)
+        out, _, _, _, _ = bsdf.scatter_specular(scene, material, n, direction, choice)
         image = vec.sub(direction, vec.scale(n, 2 * vec.dot(n, direction)))
         told[event] = 2 * shape[primitive] + (vec.dot(image, out) > 1 - 1e-5)
         origin = vec.along(p, n, offset if vec.dot(out, n) > 0 else -offset)

@@ -15,7 +15,13 @@ from causticmpi.preprocess.aim import emission_aim
 from causticmpi.preprocess.forecast import ClusterStatistics, ForecastMaps, build_forecast, no_forecast
 from causticmpi.preprocess.guides import Guides, learn_guides, no_guides
 from causticmpi.preprocess.lamp_images import LampImages, no_images, on_other_film
-from causticmpi.preprocess.lamp_sight import LampSight, lamp_sight, seen_in_passing, with_images
+from causticmpi.preprocess.lamp_sight import (
+    LampSight,
+    looks_of,
+    seen_in_passing,
+    sides_on_other_film,
+    with_images,
+)
 from causticmpi.preprocess.photon_map import PhotonMap, build_photon_map, no_photon_map
 from causticmpi.preprocess.photons import CausticPoints, shoot_photons
 from causticmpi.preprocess.view import extent_in_view, see_views
@@ -84,14 +90,14 @@ def prepare_method(
     made = prepare_forecast(world, config, scene, watch)
     made.extent, made.guides = _prepare_guides(world, config, scene, camera, watch)
     small_sight, images = _look_for_lamps(world, config, scene, watch)
-    side = small_sight.side
+    sides = small_sight.sides
     if needs_pilot(config, made.maps):
         made.plan = _prepare_plan(world, config, scene, made, small_sight, watch)
         made.guides = made.guides._replace(paths_per_pixel=made.plan.paths_per_pixel)
-        side = made.plan.sight_side
+        sides = made.plan.sides
         if made.plan.plain:
             made.maps = no_forecast()
-    made.sight = _prepare_sight(world, config, scene, camera, side, images, watch)
+    made.sight = _prepare_sight(world, config, sides, images, watch)
     return make_method(config, scene.traced, camera, made.maps, made.extent, made.guides, made.sight), made
 
 
@@ -123,30 +129,20 @@ def _look_for_lamps(
 
 
 def _prepare_sight(
-    world: World,
-    config: RenderConfig,
-    scene: PreparedScene,
-    camera: np.ndarray,
-    side: int,
-    images: LampImages,
-    watch: Stopwatch,
+    world: World, config: RenderConfig, sides: np.ndarray, images: LampImages, watch: Stopwatch
 ) -> LampSight:
-    """Rank 0 marks the pixels that may show a lamp, once it is known that there are looks at them.
-
-    side: of the grid of looks at such a pixel, images: of the small picture, as rank 0 knows them.
-    """
-    side = world.broadcast(side)
-    if side == 0:
+    """The looks of the whole film on every rank. sides (pixels,): of grids of looks in the small picture, images: in
+    it, as rank 0 knows them."""
+    if not world.broadcast(bool(sides.any())):
         return seen_in_passing()
-    marked = None
+    arrays = None
     if world.is_root:
         with watch.stage("guides"):
-            small, size = small_film(config.film), (config.film.width, config.film.height)
-            images = on_other_film(images, (small.width, small.height), size)
-            sight = with_images(lamp_sight(scene.data, camera, *size, side), images, *size)
-        marked = sight._asdict()
-        del marked["side"]
-    return LampSight(side=side, **world.share(marked))
+            film, small = config.film, small_film(config.film)
+            sizes = (small.width, small.height), (film.width, film.height)
+            sight = looks_of(sides_on_other_film(sides, *sizes))
+            arrays = with_images(sight, on_other_film(images, *sizes), *sizes[1])._asdict()
+    return LampSight(**world.share(arrays))
 
 
 def _prepare_plan(

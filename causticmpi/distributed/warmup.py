@@ -142,7 +142,7 @@ def warm_up(config: RenderConfig, root: bool, forecasting: bool) -> bool:
     mapping = config.method == "iws+pm"
     if root and config.method not in BY_CHANCE:
         learn_guides(scene.traced, camera, 4, 4, 0, 1.0, view.see_views(scene.traced, camera, 4, 4, 0))
-        mask = lamp_sight.lamp_sight(scene.data, camera, 4, 4, 1).mask
+        mask = lamp_sight.lamp_sight(scene.data, camera, 4, 4, 1).sides > 0
         lamp_images.find_images(scene.data, scene.traced, camera, 4, mask)
     if root and (forecasting or mapping):
         shoot_photons(scene.traced, 0, 1)
@@ -156,7 +156,7 @@ def warm_up(config: RenderConfig, root: bool, forecasting: bool) -> bool:
         maps = share_maps(world, no_photon_map(config.photon_map.neighbours))
     else:
         maps = share_maps(world, tiny_maps() if forecasting else forecast.no_forecast())
-    everywhere = lamp_sight.seen_in_passing()._replace(side=1)
+    everywhere = lamp_sight.looks_of(np.ones(16))
     method = make_method(config, scene.traced, camera, maps, 1.0, sight=everywhere)
     method.begin_pass(0)
     pass_film = np.zeros((16, 6), np.float32)

@@ -117,11 +117,12 @@ def pass_work(forecast: Any, most_rays: int) -> PassWork:
 
 
 @inline
-def see_tile(scene, camera, work, pixels, first, seed, pass_index, splats, lamps):
+def see_tile(scene, camera, work, pixels, first, seed, pass_index, splats, sides):
     """Find the first non-specular vertex behind each of 16 pixels. Returns (vertices in use, rays traced).
 
-    splats: light tracing draws the caustics on what it owns of what is seen directly; lamps: what is met of them is
-    added here, and not by looks of their own (lamps_in_sight).
+    splats: light tracing draws the caustics on what it owns of what is seen directly; sides (pixels of the whole film,)
+    uint8: of the grid of looks at lamps (lamps_in_sight); at 0, and everywhere if empty, what is met of lamps is added
+    here.
     """
     packet, hits, lane = work.packet, work.hits, work.lane
     traced = see_packet(scene, camera, packet, pixels, first, seed, pass_index)
@@ -147,7 +148,7 @@ def see_tile(scene, camera, work, pixels, first, seed, pass_index, splats, lamps
         direction, throughput = lane_direction(packet, i), vec.row(hits.throughput, i)
         p, n, offset = hit_point(scene, primitive, lane_origin(packet, i), direction, hits.distance[i])
         material = np.int64(scene.material[primitive])
-        if lamps:
+        if sides.shape[0] == 0 or sides[pixels[first + i, 2]] == 0:
             add_light(work, i, DIFFUSIVE, vec.mul(throughput, emitted(scene, primitive, n, direction)))
         if vec.max3(bsdf.albedo(scene, material)) <= ZERO:
             continue

@@ -76,19 +76,19 @@ def _forecast(scene, work, maps, cluster, samples, i, at):
 
 @kernel
 def trace_iws_cf(
-    scene, camera, work, pixels, seed, pass_index, lights, count, maps, few, bound, most_peak, caustics, lamps, film
+    scene, camera, work, pixels, seed, pass_index, lights, count, maps, few, bound, most_peak, caustics, sides, film
 ):
     """One sample of L_d and, with `caustics`, of L_c for every row of `pixels` (n, 4), n a multiple of 16.
 
     lights, count: virtual lights of the pass; maps: forecast maps, without codewords where there is no forecast;
-    bound: b [units^-2]; most_peak: largest `bsdf.peak` of the scene; lamps: see `see_tile`. Adds to `film`.
+    bound: b [units^-2]; most_peak: largest `bsdf.peak` of the scene; sides: see `see_tile`. Adds to `film`.
     Returns (rays traced, vertices lost to a full stack: 0 unless something is badly wrong).
     """
     traced, lost = 0, 0
     bound = np.float32(bound)
     compensation_reach = math.sqrt(np.float32(most_peak) / bound)
     for first in range(0, pixels.shape[0], LANES):
-        used, rays = fr.see_tile(scene, camera, work, pixels, first, seed, pass_index, False, lamps)
+        used, rays = fr.see_tile(scene, camera, work, pixels, first, seed, pass_index, False, sides)
         traced += rays
         if used > 0:
             traced += fr.gather_lights(scene, work, lights, count, bound)

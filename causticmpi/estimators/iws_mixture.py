@@ -124,19 +124,19 @@ def _send_deep(scene, work, maps, count):
 
 @kernel
 def trace_iws_mixture(
-    scene, camera, work, pixels, seed, pass_index, lights, count, maps, few, bound, most_peak, splats, lamps, film
+    scene, camera, work, pixels, seed, pass_index, lights, count, maps, few, bound, most_peak, splats, sides, film
 ):
     """One sample of L_d and L_c for every row of `pixels` (n, 4), n a multiple of 16.
 
     lights, count: virtual lights of the pass; maps: forecast maps with at least one codeword; bound: b [units^-2];
-    most_peak: largest `bsdf.peak` of the scene; splats: light tracing draws what it owns; lamps: see `see_tile`. Adds
+    most_peak: largest `bsdf.peak` of the scene; splats: light tracing draws what it owns; sides: see `see_tile`. Adds
     to `film`. Returns (rays traced, vertices lost to a full stack: 0 unless something is badly wrong).
     """
     traced, lost = 0, 0
     bound = np.float32(bound)
     compensation_reach = math.sqrt(np.float32(most_peak) / bound)
     for first in range(0, pixels.shape[0], LANES):
-        used, seen = fr.see_tile(scene, camera, work, pixels, first, seed, pass_index, splats, lamps)
+        used, seen = fr.see_tile(scene, camera, work, pixels, first, seed, pass_index, splats, sides)
         traced += seen
         if used > 0:
             traced += fr.gather_lights(scene, work, lights, count, bound)

@@ -23,19 +23,19 @@ from causticmpi.kernels.vec import ZERO
 
 @kernel
 def trace_iws_pm(
-    scene, camera, work, pixels, seed, pass_index, lights, count, photons, few, bound, most_peak, lamps, film
+    scene, camera, work, pixels, seed, pass_index, lights, count, photons, few, bound, most_peak, sides, film
 ):
     """One sample of L_d and the density estimate of L_c for every row of `pixels` (n, 4), n a multiple of 16.
 
     work: around a `density_work`; lights, count: virtual lights of the pass; bound: b [units^-2]; most_peak: largest
-    `bsdf.peak` of the scene; lamps: see `see_tile`. Adds to `film`. Returns as `trace_iws_cf`.
+    `bsdf.peak` of the scene; sides: see `see_tile`. Adds to `film`. Returns as `trace_iws_cf`.
     """
     traced, lost = 0, 0
     bound = np.float32(bound)
     compensation_reach = math.sqrt(np.float32(most_peak) / bound)
     most = np.float32(photons.radius)
     for first in range(0, pixels.shape[0], LANES):
-        used, rays = fr.see_tile(scene, camera, work, pixels, first, seed, pass_index, False, lamps)
+        used, rays = fr.see_tile(scene, camera, work, pixels, first, seed, pass_index, False, sides)
         traced += rays
         if used > 0:
             traced += fr.gather_lights(scene, work, lights, count, bound)

@@ -3,7 +3,7 @@
 An eye path that ends on a lamp brings all its radiance. A glint in glass fills a fraction of a pixel, one sample in
 hundreds meets it, and that one outshines the rest of the pixel. A look at the lamps needs no more than its specular
 chain, where a sample of the pixel pays for virtual lights and caustics as well: so there are several for each such
-sample, in a grid over the pixel, wherever a lamp can be seen at all (preprocess.lamp_sight). Small images that are
+sample, in a grid over the pixel, wherever they are worth their cost (render.looks). Small images that are
 known get one more each, about their place in the picture and with their events for sure, under the balance heuristic
 [Veach 1997, (9.8)]: looks of the grid meet them as well, where their events come by chance.
 """
@@ -27,13 +27,25 @@ from causticmpi.kernels.embree import (
     lane_origin,
     ray_buffer,
 )
-from causticmpi.kernels.eye_path import emitted, scatter_along_eye_path
+from causticmpi.kernels.eye_path import choose_along_eye_path, emitted
 from causticmpi.kernels.jit import inline, kernel
 from causticmpi.kernels.traced_scene import hit_point, is_specular
-from causticmpi.kernels.vec import ALMOST_ONE, INFINITY, ONE, ZERO
+from causticmpi.kernels.vec import ALMOST_ONE, INFINITY, ONE, TWO, ZERO
 from causticmpi.kernels.warp import turn
-from causticmpi.preprocess.lamp_images import MOST_EVENTS, STRAIGHT, length_of
-from causticmpi.preprocess.lamp_sight import AXES, INVERSE, MOST_OWN, PEAK, PLACE
+from causticmpi.preprocess.lamp_images import MOST_EVENTS, STRAIGHT, WIDE, length_of
+from causticmpi.preprocess.lamp_sight import (
+    AXES,
+    INVERSE,
+    LARGER,
+    MIDDLE,
+    MOST_OWN,
+    MOST_SIDE,
+    PEAK,
+    PLACE,
+    RADIANCE,
+    VARIANCE,
+)
+from causticmpi.preprocess.lamps import across, miss
 
 PIXEL, BOUNCE, PRIMITIVE, EVENTS, WANTED = 0, 1, 2, 3, 4
 """Columns of `Looks.counts`."""
@@ -43,8 +55,8 @@ ANY, NAMELESS = 0, 0
 """WANTED of a look that takes events as they come, EVENTS of one that has too many for any image."""
 FILM_POSITION, CHAIN = 0, 1
 """Dimensions of a look's key; CHAIN + i is of its i-th specular event."""
-OWN = 16
-"""Number of the first look at an image: those of the grid come before, of 4 a side at most."""
+OWN = MOST_SIDE * MOST_SIDE
+"""Number of the first look at an image: those of the grid come before."""
 
 
 class Looks(NamedTuple):
@@ -69,7 +81,7 @@ class SightWork(NamedTuple):
 
 
 def sight_work(side: int) -> SightWork:
-    """Workspace for side x side looks at a pixel."""
+    """Workspace for side x side looks at a pixel, at most."""
 
     def looks(rows: int) -> Looks:
         return Looks(np.zeros((rows, 13), np.float32), np.full((rows, 5), -1, np.int64), np.zeros(rows, np.uint64))
@@ -110,6 +122,25 @@ def _own_density(sight, number, events, x, y):
 
 
 @inline
+def _larger_lamp(lamps, origin, direction, t):
+    """Radiance of the brightest lamp that a ray would meet if all were LARGER, and nothing hid them but what lies well
+    before them. t: of what the ray meets."""
+    light, tangents = vec.BLACK, vec.frame(direction)
+    for i in range(lamps.shape[0]):
+        middle, variance = vec.row(lamps[:, MIDDLE:VARIANCE], i), lamps[i, VARIANCE:RADIANCE]
+        a, b, ahead = miss(origin, direction, middle, direction, tangents)
+        aa, ab = across(variance, tangents[0], tangents[0]), across(variance, tangents[0], tangents[1])
+        bb, deep = across(variance, tangents[1], tangents[1]), across(variance, direction, direction)
+        inside = bb * a * a - TWO * ab * a * b + aa * b * b <= np.float32(WIDE * LARGER**2) * (aa * bb - ab * ab)
+        way = vec.dot(vec.sub(middle, origin), direction)
+        hidden = t < np.float32(0.99) * way - np.float32(2 * LARGER) * math.sqrt(deep)
+        shines = vec.row(lamps[:, RADIANCE:], i)
+        if ahead and inside and not hidden and vec.max3(shines) > vec.max3(light):
+            light = shines
+    return light
+
+
+@inline
 def _send(work, lane, origin, direction):
     """A look's ray as a lane of the packet."""
     packet = work.packet
@@ -138,7 +169,6 @@ def _arrive(scene, sight, work, waiting, neighbours):
     """Trace the packet: lamps shine, what has met a specular surface waits behind the `waiting` others. Its lanes are
     free then. neighbours: its rays are the eye's. Returns how many wait, rays traced."""
     packet, now, then = work.packet, work.now, work.waiting
-    grid = np.float32(sight.side * sight.side)
     traced = 0
     for i in range(LANES):
         if now.counts[i, PIXEL] < 0:
@@ -155,10 +185,8 @@ def _arrive(scene, sight, work, waiting, neighbours):
         if pixel < 0:
             continue
         primitive, t = lane_hit(scene.triangle_count, packet, i)
-        if primitive < 0:
-            continue
         origin, direction = lane_origin(packet, i), lane_direction(packet, i)
-        if is_specular(scene.kind[scene.material[primitive]]):
+        if primitive >= 0 and is_specular(scene.kind[scene.material[primitive]]):
             row = then.reals[waiting]
             for c in range(3):
                 row[ORIGIN + c], row[DIRECTION + c] = origin[c], direction[c]
@@ -170,21 +198,26 @@ def _arrive(scene, sight, work, waiting, neighbours):
             then.counts[waiting, PIXEL], then.counts[waiting, PRIMITIVE] = pixel, primitive
             then.key[waiting] = now.key[i]
             waiting += 1
-        elif scene.light[primitive] >= 0:
-            events, wanted = now.counts[i, EVENTS], now.counts[i, WANTED]
-            if wanted != ANY and wanted != events:
-                continue
+            continue
+        light = vec.BLACK
+        if sight.larger.shape[0] > 0:
+            light = _larger_lamp(sight.larger, origin, direction, t if primitive >= 0 else INFINITY)
+        elif primitive >= 0 and scene.light[primitive] >= 0:
             _, n, _ = hit_point(scene, primitive, origin, direction, t)
             light = emitted(scene, primitive, n, direction)
-            row = now.reals[i]
-            own = _own_density(sight, work.number[pixel], events, row[AT], row[AT + 1])
-            if own > ZERO:
-                # The throughput is over the chance of events taken as they come, whichever way these were taken.
-                by_grid = grid * row[CHANCE]
-                for c in range(3):
-                    row[THROUGHPUT + c] *= by_grid / (by_grid + own)
+        events, wanted = now.counts[i, EVENTS], now.counts[i, WANTED]
+        if vec.max3(light) <= ZERO or (wanted != ANY and wanted != events):
+            continue
+        row, number = now.reals[i], work.number[pixel]
+        own = _own_density(sight, number, events, row[AT], row[AT + 1])
+        if own > ZERO:
+            # The throughput is over the chance of events taken as they come, whichever way these were taken.
+            side = np.float32(sight.sides[number])
+            by_grid = side * side * row[CHANCE]
             for c in range(3):
-                work.light[pixel, c] += row[THROUGHPUT + c] * light[c]
+                row[THROUGHPUT + c] *= by_grid / (by_grid + own)
+        for c in range(3):
+            work.light[pixel, c] += row[THROUGHPUT + c] * light[c]
     return waiting, traced
 
 
@@ -210,17 +243,16 @@ def _go_on(scene, work, waiting):
                 continue
             u = ZERO if (wanted >> left) & 1 else ALMOST_ONE
         p, n, offset = hit_point(scene, primitive, origin, direction, row[DISTANCE])
-        reflecting = bsdf.reflected_share(scene, scene.material[primitive], n, direction)
-        arriving = vec.dot(direction, n)
-        p, direction, throughput = scatter_along_eye_path(scene, primitive, n, p, offset, direction, throughput, u)
-        reflected = arriving * vec.dot(direction, n) < ZERO
+        p, direction, throughput, reflected, chance = choose_along_eye_path(
+            scene, primitive, n, p, offset, direction, throughput, u
+        )
         if wanted != ANY and reflected != (((wanted >> left) & 1) == 1):
             continue
         if vec.max3(throughput) > ZERO:
             _send(work, i, p, direction)
             for c in range(3):
                 now.reals[i, THROUGHPUT + c] = throughput[c]
-            now.reals[i, CHANCE] = row[CHANCE] * (reflecting if reflected else ONE - reflecting)
+            now.reals[i, CHANCE] = row[CHANCE] * chance
             now.reals[i, AT], now.reals[i, AT + 1] = row[AT], row[AT + 1]
             own = now.counts[i]
             own[PIXEL], own[BOUNCE], own[WANTED] = counts[PIXEL], bounce + 1, wanted
@@ -233,20 +265,20 @@ def _go_on(scene, work, waiting):
 def see_lamps(scene, camera, work, sight, pixels, seed, pass_index, film):
     """Add the lamps that the eye sees to L_d of every row of `pixels` (n, 4), n a multiple of 16.
 
-    work: of `sight_work` of this side or more; sight: see `LampSight`; a pixel gets side x side looks, one in each part
-    of a grid over it, and one at each of its small images. Returns rays traced.
+    work: of `sight_work` of the largest side or more; sight: see `LampSight`; a pixel gets side x side looks, one in
+    each part of a grid over it, and one at each of its small images. Returns rays traced.
     """
     traced = 0
-    side = sight.side
-    share, step = ONE / np.float32(side * side), ONE / np.float32(side)
     for first in range(0, pixels.shape[0], LANES):
         waiting = lane = rays = 0
         for i in range(LANES):
             number = pixels[first + i, 2]
             work.light[i, 0] = work.light[i, 1] = work.light[i, 2] = ZERO
             work.number[i] = number
-            if pixels[first + i, 0] < 0 or (sight.mask.shape[0] > 0 and not sight.mask[number]):
+            side = np.int64(sight.sides[number])
+            if pixels[first + i, 0] < 0 or side == 0:
                 continue
+            step = ONE / np.float32(side)
             pixel_key = rng.make_key(seed, rng.SIGHT, pass_index, number)
             left, top = np.float32(pixels[first + i, 0]), np.float32(pixels[first + i, 1])
             own = low = np.int64(0)
@@ -280,7 +312,8 @@ def see_lamps(scene, camera, work, sight, pixels, seed, pass_index, film):
             waiting, rays = _arrive(scene, sight, work, waiting, False)
             traced += rays
         for i in range(LANES):
-            if pixels[first + i, 0] >= 0:
+            looks = np.float32(sight.sides[work.number[i]]) ** 2
+            if pixels[first + i, 0] >= 0 and looks > ZERO:
                 for c in range(3):
-                    film[pixels[first + i, 3], c] += work.light[i, c] * share
+                    film[pixels[first + i, 3], c] += work.light[i, c] / looks
     return traced

@@ -101,18 +101,9 @@ def fresnel(cosine, eta):
 
 
 @inline
-def reflected_share(scene, material, n, direction):
-    """Probability that `scatter_specular` reflects."""
-    if scene.kind[material] == MIRROR:
-        return ONE
-    cosine, ior = -vec.dot(direction, n), scene.ior[material]
-    return fresnel(-cosine, ior)[0] if cosine < ZERO else fresnel(cosine, ONE / ior)[0]
-
-
-@inline
 def scatter_specular(scene, material, n, direction, u):
-    """One specular event: new direction, reflectance or transmittance / probability (RGB), eta and whether it
-    refracted.
+    """One specular event: new direction, reflectance or transmittance / probability (RGB), eta, whether it refracted
+    and the probability of that.
 
     n: front normal (out of the denser side); direction: of the arriving ray; u: uniform.
     eta = n_incident/n_transmitted seen along the ray. Radiance carried back along an eye path that refracts scales with
@@ -120,7 +111,7 @@ def scatter_specular(scene, material, n, direction, u):
     """
     cosine = -vec.dot(direction, n)
     if scene.kind[material] == MIRROR:
-        return vec.along(direction, n, TWO * cosine), vec.row(scene.reflectance, material), ONE, False
+        return vec.along(direction, n, TWO * cosine), vec.row(scene.reflectance, material), ONE, False, ONE
     ior = scene.ior[material]
     side = n
     eta = ONE / ior
@@ -128,9 +119,9 @@ def scatter_specular(scene, material, n, direction, u):
         side, eta, cosine = vec.neg(n), ior, -cosine
     reflected, inner = fresnel(cosine, eta)
     if u < reflected:
-        return vec.along(direction, side, TWO * cosine), vec.WHITE, ONE, False
+        return vec.along(direction, side, TWO * cosine), vec.WHITE, ONE, False, reflected
     out = vec.along(vec.scale(direction, eta), side, eta * cosine - inner)
-    return vec.normalize(out), vec.WHITE, eta, True
+    return vec.normalize(out), vec.WHITE, eta, True, ONE - reflected
 
 
 ROULETTE_START = 16

@@ -20,13 +20,21 @@ from causticmpi.kernels.vec import INFINITY, ONE, ZERO
 
 
 @inline
-def scatter_along_eye_path(scene, primitive, n, p, offset, direction, throughput, u):
-    """One specular event of an eye path: new origin, direction and throughput (the eta^2 of radiance included)."""
+def choose_along_eye_path(scene, primitive, n, p, offset, direction, throughput, u):
+    """One specular event of an eye path: new origin, direction and throughput (the eta^2 of radiance included, and over
+    the probability of the event); whether it reflects, and the probability of that."""
     material = scene.material[primitive]
-    direction, weight, eta, refracted = bsdf.scatter_specular(scene, material, n, direction, u)
+    direction, weight, eta, refracted, chance = bsdf.scatter_specular(scene, material, n, direction, u)
     throughput = vec.scale(vec.mul(throughput, weight), eta * eta)
     side = offset if vec.dot(direction, n) > ZERO else -offset
-    return vec.along(p, n, side), direction, throughput
+    return vec.along(p, n, side), direction, throughput, not refracted, chance
+
+
+@inline
+def scatter_along_eye_path(scene, primitive, n, p, offset, direction, throughput, u):
+    """What `choose_along_eye_path` chooses: new origin, direction and throughput."""
+    origin, out, weight, _, _ = choose_along_eye_path(scene, primitive, n, p, offset, direction, throughput, u)
+    return origin, out, weight
 
 
 @inline

@@ -62,7 +62,7 @@ def walk_to_surface(scene, rays, origin, direction, flux, key):
                 primitive = -1
                 break
             flux = vec.scale(flux, ONE / bsdf.SURVIVAL)
-        direction, weight, _, _ = bsdf.scatter_specular(scene, material, n, direction, u)
+        direction, weight, _, _, _ = bsdf.scatter_specular(scene, material, n, direction, u)
         flux = vec.mul(flux, weight)
         if vec.max3(flux) <= ZERO:
             primitive = -1

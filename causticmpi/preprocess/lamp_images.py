@@ -12,16 +12,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from causticmpi.kernels import bsdf, vec
+from causticmpi.kernels import vec
 from causticmpi.kernels.camera import primary_ray
 from causticmpi.kernels.embree import intersect, ray_buffer
-from causticmpi.kernels.eye_path import emitted, scatter_along_eye_path
+from causticmpi.kernels.eye_path import choose_along_eye_path, emitted
 from causticmpi.kernels.jit import inline, kernel
 from causticmpi.kernels.material_kinds import MIRROR
 from causticmpi.kernels.traced_scene import TracedScene, hit_point, is_specular
 from causticmpi.kernels.vec import ALMOST_ONE, INFINITY, ONE, WHITE, ZERO
 from causticmpi.kernels.warp import turn
-from causticmpi.preprocess.lamps import lamps_of
+from causticmpi.preprocess.lamps import across, lamps_of, miss
 from causticmpi.scene.data import SceneData
 from causticmpi.scene.tracing import SHAPE
 
@@ -86,39 +86,17 @@ def _follow(scene, camera, rays, x, y, events):
         if primitive < 0 or not is_specular(scene.kind[scene.material[primitive]]):
             alive = False
             break
-        reflects = (events >> left) & 1
         p, n, offset = hit_point(scene, primitive, origin, direction, t)
-        share = bsdf.reflected_share(scene, scene.material[primitive], n, direction)
-        arriving, u = vec.dot(direction, n), ZERO if reflects else ALMOST_ONE
-        origin, direction, throughput = scatter_along_eye_path(scene, primitive, n, p, offset, direction, throughput, u)
-        if (arriving * vec.dot(direction, n) < ZERO) != (reflects == 1):
+        wanted = (events >> left) & 1
+        origin, direction, throughput, reflected, share = choose_along_eye_path(
+            scene, primitive, n, p, offset, direction, throughput, ZERO if wanted else ALMOST_ONE
+        )
+        if reflected != (wanted == 1):
             alive = False
             break
-        chance *= share if reflects else ONE - share
+        chance *= share
         primitive, t = intersect(scene.handle, scene.triangle_count, rays, origin, direction, INFINITY)
     return alive, origin, direction, primitive, t, throughput, chance
-
-
-@inline
-def _miss(origin, direction, middle, normal, tangents):
-    """By how much a ray misses a lamp's middle, on the plane through it: along the two tangents; ahead: whether it gets
-    there."""
-    slope, way = vec.dot(direction, normal), vec.dot(vec.sub(middle, origin), normal)
-    off = vec.sub(vec.along(origin, direction, way / slope), middle)
-    return vec.dot(off, tangents[0]), vec.dot(off, tangents[1]), (slope > ZERO) & (way > ZERO)
-
-
-@inline
-def _across(variance, a, b):
-    """aᵀ V b."""
-    return (
-        variance[0] * a[0] * b[0]
-        + variance[1] * (a[0] * b[1] + a[1] * b[0])
-        + variance[2] * (a[0] * b[2] + a[2] * b[0])
-        + variance[3] * a[1] * b[1]
-        + variance[4] * (a[1] * b[2] + a[2] * b[1])
-        + variance[5] * a[2] * b[2]
-    )
 
 
 @inline
@@ -133,10 +111,9 @@ def _ellipse(xx, xy, yy):
 
 
 @inline
-def _three(scene, camera, rays, x, y, events):
-    """Looks at a film position and a little to the right and below it. Returns whether all have the events; the last
-    ray of each and how far they are apart [pixels]; how likely the events are."""
-    known, o, d, _, _, _, chance = _follow(scene, camera, rays, x, y, events)
+def _three(scene, camera, rays, x, y, events, o, d):
+    """The last ray (o, d) of a look at a film position with those of looks a little to the right and below it. Returns
+    whether these have the events as well; the last ray of each and how far they are apart [pixels]."""
     h, k = _DIFFERENCE, _DIFFERENCE
     right, p, e, _, _, _, _ = _follow(scene, camera, rays, x + h, y, events)
     if not right:  # at a rim
@@ -146,7 +123,7 @@ def _three(scene, camera, rays, x, y, events):
     if not down:
         k = -k
         down, q, f, _, _, _, _ = _follow(scene, camera, rays, x, y + k, events)
-    return known & right & down, (o, d, p, e, q, f, h, k), chance
+    return right & down, (o, d, p, e, q, f, h, k)
 
 
 @inline
@@ -154,9 +131,9 @@ def _slopes(three, middle, tangents):
     """How looks miss a lamp's middle. Returns whether they get so far; the miss along two tangents, and what it changes
     by a pixel to the right and a pixel down."""
     o, d, p, e, q, f, h, k = three
-    a, b, ahead = _miss(o, d, middle, d, tangents)
-    a1, b1, ahead1 = _miss(p, e, middle, d, tangents)
-    a2, b2, ahead2 = _miss(q, f, middle, d, tangents)
+    a, b, ahead = miss(o, d, middle, d, tangents)
+    a1, b1, ahead1 = miss(p, e, middle, d, tangents)
+    a2, b2, ahead2 = miss(q, f, middle, d, tangents)
     change = float(a1 - a) / h, float(b1 - b) / h, float(a2 - a) / k, float(b2 - b) / k
     return ahead & ahead1 & ahead2, float(a), float(b), change
 
@@ -165,9 +142,9 @@ def _slopes(three, middle, tangents):
 def _image(variance, change, tangents):
     """Variance of a lamp's points across the ray, and the ellipse of its image, from what `_slopes` tells."""
     ax, bx, ay, by = change
-    aa = float(_across(variance, tangents[0], tangents[0]))
-    ab = float(_across(variance, tangents[0], tangents[1]))
-    bb = float(_across(variance, tangents[1], tangents[1]))
+    aa = float(across(variance, tangents[0], tangents[0]))
+    ab = float(across(variance, tangents[0], tangents[1]))
+    bb = float(across(variance, tangents[1], tangents[1]))
     share = 1 / (ax * by - ay * bx) ** 2
     xx = share * (by * by * aa - 2 * by * ay * ab + ay * ay * bb)
     xy = share * (-by * bx * aa + (by * ax + ay * bx) * ab - ay * ax * bb)
@@ -186,7 +163,10 @@ def _approach(scene, camera, rays, x, y, three, chance, events, middle, variance
     found, here, likely, ellipse = False, False, ONE, (1.0, 0.0, _SMALLEST, _SMALLEST)
     for step in range(_STEPS):
         if step > 0:
-            known, three, chance = _three(scene, camera, rays, x, y, events)
+            alive, o, d, _, _, _, chance = _follow(scene, camera, rays, x, y, events)
+            if not alive:
+                break
+            known, three = _three(scene, camera, rays, x, y, events, o, d)
             if not known:
                 break
         tangents = vec.frame(three[1])
@@ -254,7 +234,7 @@ def _search(scene, camera, rays, starts, spacing, middles, variances, shapes, wa
         while top > 0:
             top -= 1
             events = waiting[top]
-            alive, _, _, primitive, _, throughput, chance = _follow(
+            alive, o, d, primitive, _, throughput, chance = _follow(
                 scene, camera, rays, starts[i, 0], starts[i, 1], events
             )
             if not alive or vec.max3(throughput) * chance < FAINTEST:
@@ -267,7 +247,7 @@ def _search(scene, camera, rays, starts, spacing, middles, variances, shapes, wa
                         waiting[top] = 2 * events
                         top += 1
                 continue
-            known, three, chance = _three(scene, camera, rays, starts[i, 0], starts[i, 1], events)
+            known, three = _three(scene, camera, rays, starts[i, 0], starts[i, 1], events, o, d)
             for lamp in range(middles.shape[0] if known else 0):
                 middle, variance = vec.row(middles, lamp), variances[lamp]
                 lit = primitive >= 0 and scene.surface.view(np.int32)[primitive, SHAPE] == shapes[lamp]
@@ -294,7 +274,9 @@ def find_images(scene: SceneData, traced: TracedScene, camera: np.ndarray, width
     corner = np.stack([seen % width, seen // width], axis=1).astype(np.float64)
     starts = (corner[:, None, None] + np.stack(np.meshgrid(inner, inner), axis=-1)).reshape(-1, 2)
     found, waiting = np.zeros((MOST_IMAGES, 9)), np.zeros(2 * MOST_EVENTS + 2, np.int64)
-    count = _search(traced, camera, ray_buffer(), starts, 1 / parts, *lamps_of(scene), waiting, found)
+    lamps = lamps_of(scene)
+    own = lamps.middle, lamps.variance, lamps.shape
+    count = _search(traced, camera, ray_buffer(), starts, 1 / parts, *own, waiting, found)
     found = found[:count]
     x, y, c, s, longer, shorter, chance, events, _ = found[np.isfinite(found).all(axis=1)].T
     axes = np.stack([np.stack([c * longer, -s * shorter], axis=1), np.stack([s * longer, c * shorter], axis=1)], axis=1)

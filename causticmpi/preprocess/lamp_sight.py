@@ -10,15 +10,14 @@ from causticmpi.kernels import vec
 from causticmpi.kernels.camera import film_position
 from causticmpi.kernels.jit import inline, kernel
 from causticmpi.kernels.material_kinds import MIRROR
-from causticmpi.preprocess.lamp_images import LampImages, no_images
+from causticmpi.preprocess.lamp_images import LampImages
+from causticmpi.preprocess.lamps import lamps_of
 from causticmpi.scene.data import SceneData
 
 MARGIN = 0.01
 """Around a primitive [pixels]: eye rays are rounded to float32."""
 NEAR = 1e-6
 """What crosses the plane of the eye is cut off at this fraction of its depth."""
-
-
 DENSER, WIDEST = 4.0, 0.6
 """An image gets looks of its own where, in its middle, they lie so many times as dense as a single look at a random
 place whose events are its own by chance; half axes of the places of such looks, at most [pixels]."""
@@ -30,27 +29,36 @@ CORNER = 0.71
 """How far the corners of a pixel lie from its middle [pixels]."""
 PLACE, AXES, INVERSE, PEAK, COLUMNS = 0, 2, 6, 10, 11
 """First columns of `LampSight.image`."""
+MOST_SIDE = 8
+"""Looks at a pixel in a pass, at most so many squared."""
+LARGER = 8.0
+"""How many times as wide lamps are for looks that only tell where more looks are worth their cost."""
+MIDDLE, VARIANCE, RADIANCE = 0, 3, 9
+"""First columns of `LampSight.larger`."""
 
 
 class LampSight(NamedTuple):
-    """mask (pixels of the whole film,) bool: where a lamp may be seen, empty for everywhere; side: looks at such a
-    pixel in a pass lie in a grid of side x side; 0: lamps are seen in passing, by the paths that look for vertices.
+    """sides (pixels of the whole film,) uint8: looks at a pixel in a pass lie in a grid of so many a side; 0, and
+    everywhere if empty: lamps are seen in passing, by the paths that look for vertices.
+
+    larger (n, 12) float32: middle, variance and radiance of `lamps_of`; if there are any, these lamps are seen instead
+    of those of the scene, LARGER times as wide.
 
     Looks of their own have the images in rows first[pixel] … first[pixel + 1], first (pixels + 1,) int32, empty if
     there are none: image (rows, COLUMNS) float32: middle of the places of a look; half axes as a matrix that takes the
     unit disk to their ellipse; its inverse; density there [1 / pixel]; events (rows,) int64 of lamp_images.
     """
 
-    mask: Any
-    side: int
+    sides: Any
+    larger: Any
     first: Any
     image: Any
     events: Any
 
     @property
-    def in_passing(self) -> bool:
-        """Whether lamps get no looks of their own."""
-        return self.side == 0
+    def most(self) -> int:
+        """Largest side of a grid of looks; 0: there are none."""
+        return int(self.sides.max(initial=0))
 
     @property
     def knows_images(self) -> bool:
@@ -58,25 +66,57 @@ class LampSight(NamedTuple):
         return len(self.first) > 0
 
 
+def looks_of(sides: np.ndarray) -> LampSight:
+    """Looks by grids of so many a side at each pixel (pixels,), and none at images."""
+    none = np.zeros(0, np.int32), np.zeros((0, COLUMNS), np.float32), np.zeros(0, np.int64)
+    return _sight(sides.astype(np.uint8), np.zeros((0, 12), np.float32), *none)
+
+
 def seen_in_passing() -> LampSight:
     """No looks for lamps alone."""
-    return _sight(np.empty(0, np.bool_), 0, *_own_looks(no_images(), 0, 0))
+    return looks_of(np.zeros(0))
 
 
-def _sight(mask: np.ndarray, side: int, *own: np.ndarray) -> LampSight:
-    for array in (mask, *own):
+def _sight(*arrays: np.ndarray) -> LampSight:
+    for array in arrays:
         array.flags.writeable = False  # as shared arrays are: kernels are compiled for one type only
-    return LampSight(mask, side, *own)
+    return LampSight(*arrays)
 
 
 def lamp_sight(scene: SceneData, camera: np.ndarray, width: int, height: int, side: int) -> LampSight:
-    """Mark what holds a part of the box around a projected lamp or specular primitive. camera: see kernels.camera."""
-    return _sight(_marked(scene, camera, width, height), side, *_own_looks(no_images(), 0, 0))
+    """Looks by a grid of side x side at every pixel that holds a part of the box around a projected lamp or specular
+    primitive. camera: see kernels.camera."""
+    return looks_of(side * _marked(scene, camera, width, height))
 
 
 def with_images(sight: LampSight, images: LampImages, width: int, height: int) -> LampSight:
-    """With looks at images of lamps in a picture of so many pixels."""
-    return _sight(sight.mask, sight.side, *_own_looks(images, width, height))
+    """With looks at images of lamps in a picture of so many pixels, and one at random at least where these are."""
+    first, image, events = _own_looks(images, width, height)
+    sides = sight.sides
+    if len(first):
+        sides = np.maximum(sides if len(sides) else np.uint8(0), np.diff(first) > 0)
+    return _sight(sides, sight.larger, first, image, events)
+
+
+def sides_on_other_film(sides: np.ndarray, size: tuple[int, int], other: tuple[int, int]) -> np.ndarray:
+    """The sides of a picture, width and height `size`, in one of other width and height that shows the same."""
+    # The field of view is that of the height, about the same middle.
+    x, y = ((np.arange(b) + 0.5 - b / 2) * size[1] / other[1] + a / 2 for a, b in zip(size, other, strict=True))
+    column, row = (np.clip(at, 0, end - 1).astype(int) for at, end in ((x, size[0]), (y, size[1])))
+    moved: np.ndarray = sides.reshape(size[1], size[0])[row[:, None], column].ravel()
+    return moved
+
+
+def at_most(sight: LampSight, side: int) -> LampSight:
+    """With grids of at most so many looks a side."""
+    return _sight(np.minimum(sight.sides, np.uint8(side)), *sight[1:])
+
+
+def with_larger_lamps(sight: LampSight, scene: SceneData) -> LampSight:
+    """With looks at lamps LARGER times as wide instead."""
+    lamps = lamps_of(scene)
+    larger = np.concatenate([lamps.middle, lamps.variance, lamps.radiance], axis=1)
+    return _sight(sight.sides, larger, sight.first, sight.image, sight.events)
 
 
 def _own_looks(images: LampImages, width: int, height: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,10 +1,13 @@
-"""Lamps: the shapes that shine, each as a middle and how its points lie about it."""
+"""Lamps: the shapes that shine, each as a middle and how its points lie about it; and by how much a ray misses one."""
 
 import math
 from typing import NamedTuple
 
 import numpy as np
 
+from causticmpi.kernels import vec
+from causticmpi.kernels.jit import inline
+from causticmpi.kernels.vec import ZERO
 from causticmpi.scene.data import SceneData
 
 MOST_LAMPS = 16
@@ -12,11 +15,12 @@ MOST_LAMPS = 16
 
 
 class Lamps(NamedTuple):
-    """Shapes that shine: middle (n, 3); variance (n, 6) of their points: xx, xy, xz, yy, yz, zz [units²]; shape (n,):
-    their numbers."""
+    """Shapes that shine: middle (n, 3); variance (n, 6) of their points: xx, xy, xz, yy, yz, zz [units²]; radiance
+    (n, 3), the mean of their area; shape (n,): their numbers."""
 
     middle: np.ndarray
     variance: np.ndarray
+    radiance: np.ndarray
     shape: np.ndarray
 
 
@@ -35,9 +39,10 @@ def lamps_of(scene: SceneData) -> Lamps:
     inner[: len(corners)] = np.einsum("ikc,ikd->icd", away, away) / 12
     inner[len(corners) :] = np.eye(3) * (balls[:, 3] ** 2 / 4)[:, None, None]  # of the disk that is seen
     shapes, shape = np.unique(scene.primitive_shape[shining], return_inverse=True)
-    power = np.bincount(shape, weights=area * scene.emission[scene.primitive_emission[shining]].max(axis=1))
+    radiance = scene.emission[scene.primitive_emission[shining]]
+    power = np.bincount(shape, weights=area * radiance.max(axis=1))
     strongest = np.sort(np.argsort(-power, kind="stable")[:MOST_LAMPS])
-    middles, variances = np.zeros((len(shapes), 3)), np.zeros((len(shapes), 6))
+    middles, variances, radiances = (np.zeros((len(shapes), columns)) for columns in (3, 6, 3))
     for i in strongest:
         own = shape == i
         share = area[own] / area[own].sum()
@@ -45,4 +50,28 @@ def lamps_of(scene: SceneData) -> Lamps:
         off = middle[own] - middles[i]
         whole = np.einsum("i,icd->cd", share, inner[own] + off[:, :, None] * off[:, None])
         variances[i] = whole[np.triu_indices(3)]
-    return Lamps(middles[strongest].astype(np.float32), variances[strongest].astype(np.float32), shapes[strongest])
+        radiances[i] = share @ radiance[own]
+    middle, variance, radiance = (array[strongest].astype(np.float32) for array in (middles, variances, radiances))
+    return Lamps(middle, variance, radiance, shapes[strongest])
+
+
+@inline
+def miss(origin, direction, middle, normal, tangents):
+    """By how much a ray misses a lamp's middle, on the plane through it: along the two tangents; ahead: whether it gets
+    there."""
+    slope, way = vec.dot(direction, normal), vec.dot(vec.sub(middle, origin), normal)
+    off = vec.sub(vec.along(origin, direction, way / slope), middle)
+    return vec.dot(off, tangents[0]), vec.dot(off, tangents[1]), (slope > ZERO) & (way > ZERO)
+
+
+@inline
+def across(variance, a, b):
+    """aᵀ V b."""
+    return (
+        variance[0] * a[0] * b[0]
+        + variance[1] * (a[0] * b[1] + a[1] * b[0])
+        + variance[2] * (a[0] * b[2] + a[2] * b[0])
+        + variance[3] * a[1] * b[1]
+        + variance[4] * (a[1] * b[2] + a[2] * b[1])
+        + variance[5] * a[2] * b[2]
+    )

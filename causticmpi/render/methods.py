@@ -122,7 +122,7 @@ class VirtualLighting(EyePaths, ABC):
 
     def __post_init__(self) -> None:
         self.rays = ray_buffer()
-        self.sight_work = sight_work(self.sight.side)
+        self.sight_work = sight_work(self.sight.most)
         self.peak = most_peak(self.scene)
         self.lights = empty_virtual_lights(8 * self.paths)
 
@@ -142,7 +142,7 @@ class VirtualLighting(EyePaths, ABC):
 
     def see_lamps(self, pixels: np.ndarray, film: np.ndarray) -> int:
         """Add the lamps themselves to L_d where they get looks of their own; returns rays traced."""
-        if self.sight.in_passing:
+        if self.sight.most == 0:
             return 0
         eye = (self.scene, self.camera, self.sight_work, self.sight)
         rays: int = see_lamps(*eye, pixels, self.seed, self.pass_index, film)
@@ -177,9 +177,9 @@ class WeakSingularities(VirtualLighting):
         eye = (self.scene, self.camera, self.work, pixels, self.seed, self.pass_index)
         light = (self.lights, self.light_count, self.maps, self.few, self.bound)
         if self.mixture:
-            rays, lost = trace_iws_mixture(*eye, *light, self.peak, self.light_paths > 0, self.sight.in_passing, film)
+            rays, lost = trace_iws_mixture(*eye, *light, self.peak, self.light_paths > 0, self.sight.sides, film)
         else:
-            rays, lost = trace_iws_cf(*eye, *light, self.peak, self.caustics, self.sight.in_passing, film)
+            rays, lost = trace_iws_cf(*eye, *light, self.peak, self.caustics, self.sight.sides, film)
         return none_lost(rays, lost)
 
     def trace_light(self, pass_index: int, first: int, last: int, film: np.ndarray) -> int:
@@ -215,7 +215,7 @@ class PhotonMapping(VirtualLighting):
     def trace_vertices(self, pixels: np.ndarray, film: np.ndarray) -> int:
         eye = (self.scene, self.camera, self.work, pixels, self.seed, self.pass_index)
         light = (self.lights, self.light_count, self.photons, self.few, self.bound)
-        return none_lost(*trace_iws_pm(*eye, *light, self.peak, self.sight.in_passing, film))
+        return none_lost(*trace_iws_pm(*eye, *light, self.peak, self.sight.sides, film))
 
 
 def none_lost(rays: int, lost: int) -> int:
