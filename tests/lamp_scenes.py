@@ -68,7 +68,7 @@ class Found(NamedTuple):
 
     def looks_by(self, sight: LampSight, passes: int, window: tuple[int, int, int, int] = WHOLE) -> np.ndarray:
         """(passes, pixels of the window, 3)."""
-        pixels, work = pixel_order(window, SIDE), sight_work(sight.side)
+        pixels, work = pixel_order(window, SIDE), sight_work(sight.most)
         films = np.zeros((passes, (window[2] - window[0]) * (window[3] - window[1]), 6), np.float32)
         for index, film in enumerate(films):
             see_lamps(self.prepared.traced, self.camera, work, sight, pixels, 1, index, film)
@@ -80,7 +80,7 @@ def find(text: str, folder: Path, width: int = SIDE, height: int = SIDE) -> Foun
     scene = scene_from(text, folder)
     prepared, camera = prepare(scene), camera_array(scene.camera, width, height)
     sight = lamp_sight(scene, camera, width, height, 1)
-    return Found(prepared, camera, sight, find_images(scene, prepared.traced, camera, width, sight.mask))
+    return Found(prepared, camera, sight, find_images(scene, prepared.traced, camera, width, sight.sides > 0))
 
 
 @numba.njit

@@ -172,9 +172,10 @@ def specular(material: int, direction: np.ndarray, u: np.ndarray) -> tuple[np.nd
     n = len(u)
     direction = np.ascontiguousarray(np.broadcast_to(direction, (n, 3)), np.float32)
     out, weight = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
-    eta, refracted = np.empty(n, np.float32), np.empty(n, np.bool_)
-    run_specular(materials(), material, NORMAL[None], direction, u.astype(np.float32), out, weight, eta, refracted)
-    return out, weight, eta, refracted
+    eta, refracted, chance = np.empty(n, np.float32), np.empty(n, np.bool_), np.empty(n, np.float32)
+    choices = u.astype(np.float32)
+    run_specular(materials(), material, NORMAL[None], direction, choices, out, weight, eta, refracted, chance)
+    return out, weight, eta, refracted, chance
 
 
 @pytest.mark.parametrize("ratio", [1 / 1.5, 1.5, 1 / 1.01, 2.4])
@@ -196,7 +197,7 @@ def test_fresnel_against_oracle(ratio: float) -> None:
 def test_glass_scatters_by_snell_and_fresnel(inside: bool, angle: float) -> None:
     count = 200_000
     direction = -tilted(angle) if not inside else -tilted(math.pi - angle)
-    out, weight, eta, refracted = specular(GLASS, direction, np.random.default_rng(5).random(count))
+    out, weight, eta, refracted, chance = specular(GLASS, direction, np.random.default_rng(5).random(count))
     n_in, n_out = (1.5, 1.0) if inside else (1.0, 1.5)
     n = NORMAL.astype(float)
     reflectance = naive.fresnel(angle, n_in, n_out)
@@ -204,6 +205,7 @@ def test_glass_scatters_by_snell_and_fresnel(inside: bool, angle: float) -> None
     assert (eta[~refracted] == 1).all() and np.allclose(eta[refracted], n_in / n_out)
     np.testing.assert_allclose(np.linalg.norm(out, axis=1), 1, atol=1e-5)
     assert np.abs(out[~refracted] - (direction - 2 * (direction @ n) * n)).max(initial=0) < 1e-5
+    np.testing.assert_allclose(chance, np.where(refracted, 1 - reflectance, reflectance), atol=1e-5)
     share = 1 - refracted.mean()
     if reflectance == 1:
         assert share == 1
@@ -219,6 +221,7 @@ def test_glass_scatters_by_snell_and_fresnel(inside: bool, angle: float) -> None
 
 def test_mirror() -> None:
     direction = -tilted(0.9)
-    out, weight, eta, refracted = specular(SILVER, direction, np.linspace(0, 0.999, 50))
+    out, weight, eta, refracted, chance = specular(SILVER, direction, np.linspace(0, 0.999, 50))
     np.testing.assert_allclose(out, np.tile(naive.mirrored(-direction, NORMAL.astype(float)), (50, 1)), atol=1e-6)
     assert np.allclose(weight, [0.9, 0.8, 0.7]) and (eta == 1).all() and not refracted.any()
+    assert (chance == 1).all()

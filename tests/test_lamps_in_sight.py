@@ -18,7 +18,7 @@ from causticmpi.kernels.material_kinds import MIRROR
 from causticmpi.kernels.pixels import pixel_order
 from causticmpi.kernels.vec import INFINITY, WHITE
 from causticmpi.preprocess.forecast import no_forecast
-from causticmpi.preprocess.lamp_sight import lamp_sight, seen_in_passing
+from causticmpi.preprocess.lamp_sight import lamp_sight, looks_of
 from causticmpi.render.methods import make_method
 from causticmpi.scene.content import with_camera
 from causticmpi.scene.data import SceneData
@@ -90,7 +90,7 @@ def test_no_lamp_is_overlooked(scene: SceneData, view: int) -> None:
     camera = camera_array(seen_from.camera, SIDE, SIDE)
     hit, looks = np.zeros(SIDE * SIDE, np.bool_), np.zeros((100, SIDE * SIDE, 3), np.float32)
     _looks(prepared.traced, camera, ray_buffer(), 100, SIDE, SIDE, hit, looks)
-    mask = lamp_sight(seen_from, camera, SIDE, SIDE, 2).mask
+    mask = lamp_sight(seen_from, camera, SIDE, SIDE, 2).sides == 2
     assert not (hit & ~mask).any()
     assert mask.sum() <= (3 * hit.sum() if view != 2 else SIDE * SIDE)
     prepared.embree.close()
@@ -129,7 +129,7 @@ def test_tiles_in_any_order_and_company(scene: SceneData) -> None:
         for start in reversed(starts)
     )
     np.testing.assert_array_equal(whole, parts)
-    see_lamps(prepared.traced, camera, work, seen_in_passing()._replace(side=2), pixels, 1, 0, everywhere)
+    see_lamps(prepared.traced, camera, work, looks_of(np.full(SIDE * SIDE, 2)), pixels, 1, 0, everywhere)
     np.testing.assert_array_equal(whole, everywhere)
     assert whole.any()
     prepared.embree.close()
@@ -142,7 +142,7 @@ def test_nothing_else_adds_the_lamps(scene: SceneData) -> None:
     prepared = prepare(scene)
     camera = camera_array(scene.camera, SIDE, SIDE)
     pixels = pixel_order((0, 0, SIDE, SIDE), SIDE)
-    everywhere = seen_in_passing()._replace(side=2)
+    everywhere = looks_of(np.full(SIDE * SIDE, 2))
     for name in ("iws", "iws+cf"):
         config = make_config(method=name)
         common = (config, prepared.traced, camera, no_forecast(), prepared.extent, None)

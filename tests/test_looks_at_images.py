@@ -20,6 +20,7 @@ from causticmpi.preprocess.lamp_sight import (
     PEAK,
     PLACE,
     LampSight,
+    looks_of,
     seen_in_passing,
     with_images,
 )
@@ -89,7 +90,7 @@ def seen(ball: Found) -> np.ndarray:
 @pytest.mark.statistical
 @pytest.mark.parametrize("side", [1, 3])
 def test_images_take_the_noise_and_leave_the_mean(ball: Found, side: int) -> None:
-    ball = ball._replace(sight=ball.sight._replace(side=side))
+    ball = ball._replace(sight=looks_of(side * ball.sight.sides))
     seen = ball.looks(ball.images)
     plain = np.zeros((40, SIDE * SIDE, 3))
     none = np.zeros((0, 2)), np.zeros(0, np.int64)
