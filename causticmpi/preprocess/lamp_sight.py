@@ -152,7 +152,7 @@ def _own_looks(images: LampImages, width: int, height: int) -> tuple[np.ndarray,
 
 
 def _marked(scene: SceneData, camera: np.ndarray, width: int, height: int) -> np.ndarray:
-    """`mask` of a LampSight."""
+    """Pixels (pixels,) where a lamp or something specular may be seen."""
     specular = scene.material_kind[scene.primitive_material] >= MIRROR
     wanted = np.flatnonzero(specular | (scene.primitive_emission >= 0))
     mask = np.zeros((height, width), np.bool_)

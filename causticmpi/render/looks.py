@@ -119,9 +119,13 @@ class LampTrial:
         return made
 
     def _shared(self, whole: np.ndarray, shares: np.ndarray) -> np.ndarray:
-        """`shares` times what makes it sum up to `whole` where lamps were seldom met."""
-        made: np.ndarray = shares * (whole[~self.often].sum() / max(shares[~self.often].sum(), 1e-30))
-        return made
+        """`shares` times what makes it sum up to `whole` where lamps were seldom met, and nowhere more than there at
+        most; `whole` itself where nothing has a share."""
+        seldom = ~self.often
+        if not shares[seldom].any():
+            return (whole.T * seldom).T
+        made = shares * (whole[seldom].sum() / shares[seldom].sum())
+        return np.minimum(made, made[seldom].max())
 
     def needs(self, rest: np.ndarray, floor: float) -> LookNeeds:
         """rest (slots, 3): radiance without lamps; floor: of the relative squared error [radiance^2]."""
