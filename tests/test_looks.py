@@ -307,6 +307,24 @@ def test_nothing_met_needs_nothing() -> None:
         assert (needs.best(1.0, 9.0)[1] == made.least).all()
 
 
+@pytest.mark.parametrize("faint", [0.0, 1e-20])
+def test_what_larger_lamps_do_not_tell_is_as_measured(faint: float) -> None:
+    """A lamp whose middle is hidden is none of them: where it is met seldom no pixel, or hardly any, has a share."""
+    made = trial_of()
+    often = made.grid.met >= OFTEN
+    larger = np.where(often[:, None], 2.0, np.zeros((COUNT, 3)))
+    around = blurred(larger).any(axis=1)
+    larger[np.flatnonzero(~often & ~around)[0]] = faint
+    seen = often | ~around  # a pixel beside those that are often met would share with them
+    trial = trial_of(larger=LampPasses(larger, 0 * larger, made.grid.met, 1.0), seen=seen)
+    needs = trial.needs(REST, FLOOR)
+    own = (made.grid.variance / ((REST + trial.level) ** 2 + FLOOR)).mean(axis=1)
+    assert needs.errors[~often].sum() == pytest.approx(own[~often].sum())
+    assert needs.errors.max() <= max(own.max(), own[~often].sum())
+    if not faint:
+        np.testing.assert_allclose(needs.errors, own)
+
+
 def test_a_trial_finds_what_the_looks_find(black: Found) -> None:
     sight = with_images(looks_of(SIGHT_SIDE * black.sight.sides), black.images, SIDE, SIDE)
     common = black.prepared.data, black.prepared.traced, black.camera
