@@ -122,7 +122,8 @@ class VirtualLighting(EyePaths, ABC):
 
     def __post_init__(self) -> None:
         self.rays = ray_buffer()
-        self.sight_work = sight_work(self.sight.most)
+        most_side = self.sight.most
+        self.looks, self.sight_work = most_side > 0, sight_work(most_side)
         self.peak = most_peak(self.scene)
         self.lights = empty_virtual_lights(8 * self.paths)
 
@@ -142,7 +143,7 @@ class VirtualLighting(EyePaths, ABC):
 
     def see_lamps(self, pixels: np.ndarray, film: np.ndarray) -> int:
         """Add the lamps themselves to L_d where they get looks of their own; returns rays traced."""
-        if self.sight.most == 0:
+        if not self.looks:
             return 0
         eye = (self.scene, self.camera, self.sight_work, self.sight)
         rays: int = see_lamps(*eye, pixels, self.seed, self.pass_index, film)
