@@ -15,7 +15,7 @@ from causticmpi.config.records import Box
 from causticmpi.errors import InputError
 from causticmpi.kernels import aim as kernel_aim
 from causticmpi.kernels import vec
-from causticmpi.preprocess.aim import SHARE, emission_aim
+from causticmpi.preprocess.aim import PAYS, SHARE, aim_that_pays, emission_aim
 from causticmpi.preprocess.photons import shoot_photons
 from causticmpi.scene.data import SceneData
 from causticmpi.scene.load import load_scene
@@ -163,6 +163,35 @@ def test_auto_holds_all_specular_surfaces(cornell: SceneData, tmp_path: Path) ->
     assert not away.any()  # behind the only light
 
 
+@pytest.mark.parametrize(("room", "pays"), [(2.5, False), (20, True)])
+def test_aim_is_taken_where_natural_emission_finds_few(room: float, pays: bool, tmp_path: Path) -> None:
+    """A sphere that fills most of its room is found anyway, one that is lost in a hall is not."""
+    scene = scene_from(SPHERE_IN_A_ROOM.format(half=room / 2, lamp=room / 2 - 0.3), tmp_path)
+    traced = prepare(scene).traced
+    aim = emission_aim("auto", scene)
+    assert aim.any()
+    taken = aim_that_pays(aim, traced, 1)
+    np.testing.assert_array_equal(taken, aim if pays else kernel_aim.NATURAL)
+    found = {way: shoot_photons(traced, 2, 4000, array) for way, array in (("natural", taken * 0), ("aimed", aim))}
+    per_ray = {way: len(points.power) / rays for way, (points, _, rays) in found.items()}
+    print(f"\n{per_ray['aimed'] / per_ray['natural']:.1f} times as many points a ray")
+    assert (per_ray["aimed"] > PAYS * per_ray["natural"]) == pays
+
+
+def test_no_aim_no_trial(cornell: SceneData) -> None:
+    assert not aim_that_pays(kernel_aim.NATURAL, prepare(cornell).traced, 1).any()
+
+
+SPHERE_IN_A_ROOM = """
+camera: {{eye: [0, 0, 0.9], target: [0, 0, 0]}}
+materials:
+  grey: {{type: diffuse, reflectance: 0.5}}
+  glass: {{type: dielectric, ior: 1.5}}
+shapes:
+  - {{type: box, min: [-{half}, -{half}, -{half}], max: [{half}, {half}, {half}], material: grey}}
+  - {{type: sphere, center: [0, {lamp}, 0], radius: 0.2, material: grey, emission: 9}}
+  - {{type: sphere, center: [0, 0, 0], radius: 0.5, material: glass}}
+"""
 LAMP_ON_A_WALL = """
 camera: {eye: [0, 0, 4], target: [0, 0, 0]}
 materials:

@@ -105,7 +105,7 @@ class Forecast(Record):
     lamps are looked for, and whether the forecast pays at all (render.pilot); radius: of the gather, in scene units,
     `auto` derives it from the average photon density; overlap: the epsilon around a cluster in scene units, `auto`
     derives it likewise, not for `mixture`; aim: box towards which most photons are shot, `auto` around all specular
-    surfaces, `off` for none.
+    surfaces where that finds them much faster, `off` for none.
     """
 
     sampling: Literal["mixture", "two", "one", "one-cosine", "one-smooth", "mis"] = "mixture"
@@ -120,7 +120,7 @@ class Forecast(Record):
     pilot: bool = True
     radius: Positive | Literal["auto"] = "auto"
     overlap: Positive | Literal["auto"] = "auto"
-    aim: Literal["off", "auto"] | Box = "off"
+    aim: Literal["off", "auto"] | Box = "auto"
 
 
 class PhotonMap(Record):

@@ -11,7 +11,7 @@ from causticmpi.distributed.world import World
 from causticmpi.kernels.embree import EmbreeScene
 from causticmpi.kernels.traced_scene import TracedScene
 from causticmpi.output.picture import RELMSE_FLOOR
-from causticmpi.preprocess.aim import emission_aim
+from causticmpi.preprocess.aim import aim_that_pays, emission_aim
 from causticmpi.preprocess.forecast import ClusterStatistics, ForecastMaps, build_forecast, no_forecast
 from causticmpi.preprocess.guides import Guides, learn_guides, no_guides
 from causticmpi.preprocess.lamp_images import LampImages, no_images, on_other_film
@@ -187,6 +187,8 @@ def make_forecast(
     made, settings = Forecasting(no_forecast()), config.forecast
     with watch.stage("photons"):
         aim = emission_aim(settings.aim, scene.data)
+        if settings.aim == "auto":
+            aim = aim_that_pays(aim, scene.traced, config.seed)
         points, made.emitted, made.rays = shoot_photons(scene.traced, config.seed, settings.photons, aim)
     made.photons = len(points.power)
     made.warnings = of_photons(made.photons, settings.photons, made.emitted)

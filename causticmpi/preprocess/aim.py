@@ -9,10 +9,17 @@ from causticmpi.config.records import Box
 from causticmpi.errors import InputError
 from causticmpi.kernels.aim import NATURAL
 from causticmpi.kernels.material_kinds import MIRROR
+from causticmpi.kernels.traced_scene import TracedScene
+from causticmpi.preprocess.photons import shoot_photons
 from causticmpi.scene.data import SceneData
 
 SHARE = 0.75
 """Share of aimed particles; the others leave as light does, and find what lies outside the box."""
+TRIAL = 500
+"""Caustic points to find either way, before `auto` takes aim."""
+PAYS = 2.0
+"""Times as many caustic points for each ray as natural emission finds: aiming pays from there on. 1.6 in a Cornell box,
+2.3 at a pool, 5 at a ring, 47 at figurines in a large room; the noise of a pass was the same in all of them."""
 
 
 def emission_aim(setting: str | Box, scene: SceneData) -> np.ndarray:
@@ -37,6 +44,20 @@ def emission_aim(setting: str | Box, scene: SceneData) -> np.ndarray:
     if not _seen(box, scene):
         raise InputError(f"{found} lies behind every light; allowed: a box that a light shines at; write aim: off")
     return _aim(box)
+
+
+def aim_that_pays(aim: np.ndarray, scene: TracedScene, seed: int) -> np.ndarray:
+    """`aim` if it finds caustic points that much faster than natural emission, else the latter; counted in rays, never
+    by the clock."""
+    if not aim.any():
+        return NATURAL
+    natural, aimed = (_points_per_ray(scene, seed, way) for way in (NATURAL, aim))
+    return aim if aimed > PAYS * natural else NATURAL
+
+
+def _points_per_ray(scene: TracedScene, seed: int, aim: np.ndarray) -> float:
+    points, _, rays = shoot_photons(scene, seed, TRIAL, aim)
+    return len(points.power) / max(rays, 1)
 
 
 def _aim(box: np.ndarray) -> np.ndarray:
