@@ -194,7 +194,7 @@ def test_paths_in_a_room_with_mirror_and_glass(tmp_path: Path, method: str, rho:
 
 
 @pytest.mark.parametrize("sampling", SAMPLINGS)
-@pytest.mark.parametrize(("rho", "side", "paths", "passes"), [(0.5, 16, 32, 700), (0.8, 8, 64, 3600)])
+@pytest.mark.parametrize(("rho", "side", "paths", "passes"), [(0.5, 16, 32, 700), (0.8, 8, 64, 2700)])
 def test_room_with_mirror_and_glass(
     tmp_path: Path, rho: float, side: int, paths: int, passes: int, sampling: str
 ) -> None:
@@ -230,7 +230,7 @@ def test_poisoned_forecast(half_white: SceneData, how: str, sampling: str) -> No
 
 @pytest.mark.parametrize("bound", [0.01, 1.0, 100.0, 1e4])
 def test_any_bound(half_white: SceneData, bound: float) -> None:
-    check(half_white, settings("iws+cf", iws={"bound": bound}), 2.0, 1800)
+    check(half_white, settings("iws+cf", iws={"bound": bound}), 2.0, 900)
 
 
 @pytest.mark.parametrize(
@@ -250,7 +250,7 @@ def test_any_bound(half_white: SceneData, bound: float) -> None:
     ids=str,
 )
 def test_any_setting(half_white: SceneData, iws: dict, forecast: dict) -> None:
-    check(half_white, settings("iws+cf", iws, forecast), 2.0, 2800)
+    check(half_white, settings("iws+cf", iws, forecast), 2.0, 900)
 
 
 def test_one_particle_path_a_pass(half_white: SceneData) -> None:

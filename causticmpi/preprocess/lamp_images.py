@@ -288,9 +288,14 @@ def no_images() -> LampImages:
     return LampImages(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0, np.int64), np.zeros(0))
 
 
+def places_on_other_film(places: np.ndarray, size: tuple[int, int], other: tuple[int, int]) -> np.ndarray:
+    """Places (n, 2) [pixels] of a picture, width and height `size`, in one of other width and height that shows the
+    same: its field of view is that of the height, about the same middle."""
+    moved: np.ndarray = (places - np.array(size) / 2) * (other[1] / size[1]) + np.array(other) / 2
+    return moved
+
+
 def on_other_film(images: LampImages, size: tuple[int, int], other: tuple[int, int]) -> LampImages:
     """The images of a picture, width and height `size`, in one of other width and height that shows the same."""
-    scale = other[1] / size[1]  # the field of view is that of the height, about the same middle
-    return images._replace(
-        place=(images.place - np.array(size) / 2) * scale + np.array(other) / 2, axes=images.axes * scale
-    )
+    place = places_on_other_film(images.place, size, other)
+    return images._replace(place=place, axes=images.axes * (other[1] / size[1]))

@@ -10,7 +10,7 @@ from causticmpi.kernels import vec
 from causticmpi.kernels.camera import film_position
 from causticmpi.kernels.jit import inline, kernel
 from causticmpi.kernels.material_kinds import MIRROR
-from causticmpi.preprocess.lamp_images import LampImages
+from causticmpi.preprocess.lamp_images import LampImages, places_on_other_film
 from causticmpi.preprocess.lamps import lamps_of
 from causticmpi.scene.data import SceneData
 
@@ -100,10 +100,9 @@ def with_images(sight: LampSight, images: LampImages, width: int, height: int) -
 
 def sides_on_other_film(sides: np.ndarray, size: tuple[int, int], other: tuple[int, int]) -> np.ndarray:
     """The sides of a picture, width and height `size`, in one of other width and height that shows the same."""
-    # The field of view is that of the height, about the same middle.
-    x, y = ((np.arange(b) + 0.5 - b / 2) * size[1] / other[1] + a / 2 for a, b in zip(size, other, strict=True))
-    column, row = (np.clip(at, 0, end - 1).astype(int) for at, end in ((x, size[0]), (y, size[1])))
-    moved: np.ndarray = sides.reshape(size[1], size[0])[row[:, None], column].ravel()
+    middles = np.stack(np.meshgrid(*(np.arange(end) + 0.5 for end in other)), axis=-1).reshape(-1, 2)
+    column, row = np.clip(places_on_other_film(middles, other, size), 0, np.array(size) - 1).astype(int).T
+    moved: np.ndarray = sides.reshape(size[1], size[0])[row, column]
     return moved
 
 

@@ -7,6 +7,7 @@ might meet them. Nothing of this enters a picture; it costs and saves time alone
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.ndimage import uniform_filter
@@ -99,19 +100,19 @@ class LampTrial:
     seen: np.ndarray
     least: np.ndarray
 
-    @property
+    @cached_property
     def often(self) -> np.ndarray:
         """Where enough passes met a lamp (slots,)."""
         often: np.ndarray = self.grid.met >= OFTEN
         return often
 
-    @property
+    @cached_property
     def level(self) -> np.ndarray:
         """Radiance of the lamps (slots, 3): what was seen, where that is little evened out as LARGER ones tell."""
         level: np.ndarray = np.where(self.often[:, None], self.grid.mean, self._shared(self.grid.mean, self._blurred))
         return level
 
-    @property
+    @cached_property
     def _blurred(self) -> np.ndarray:
         """Radiance of LARGER lamps (slots, 3), each pixel with its neighbours."""
         blurred = uniform_filter(self.larger.mean.reshape(*self.shape, 3), (3, 3, 1), mode="nearest").reshape(-1, 3)
