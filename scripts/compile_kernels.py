@@ -1,3 +1,4 @@
+#!/usr/bin/env -S sh -c '"${0%/*}"/setup_venv mpi && exec "${0%/*}"/../.venv/bin/python "$0" "$@"'
 """Compile the kernels of every method, half of them in each of two processes; nothing to do where that was done before.
 
 For tests and benchmarks: else each of their processes compiles for itself what it comes to first.
