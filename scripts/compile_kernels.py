@@ -8,9 +8,7 @@ import sys
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 
-import msgspec
-
-from causticmpi.config.records import RenderConfig
+from causticmpi.config.records import Forecast, RenderConfig
 from causticmpi.distributed.warmup import warm_up
 
 HALVES = ["iws+cf mixture"], ["iws+cf two", "iws+pm mixture", "iws mixture", "pt mixture", "pt-brute mixture"]
@@ -22,7 +20,7 @@ def compile_all(kinds: list[str]) -> bool:
     made = False
     for kind in kinds:
         method, sampling = kind.split()
-        config = msgspec.convert({"scene": "", "method": method, "forecast": {"sampling": sampling}}, RenderConfig)
+        config = RenderConfig(scene="", method=method, forecast=Forecast(sampling=sampling))
         made |= warm_up(config, root=True, forecasting=method == "iws+cf")
     return made
 

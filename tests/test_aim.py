@@ -172,10 +172,10 @@ def test_aim_is_taken_where_natural_emission_finds_few(room: float, pays: bool, 
     assert aim.any()
     taken = aim_that_pays(aim, traced, 1)
     np.testing.assert_array_equal(taken, aim if pays else kernel_aim.NATURAL)
-    found = {way: shoot_photons(traced, 2, 4000, array) for way, array in (("natural", taken * 0), ("aimed", aim))}
-    per_ray = {way: len(points.power) / rays for way, (points, _, rays) in found.items()}
-    print(f"\n{per_ray['aimed'] / per_ray['natural']:.1f} times as many points a ray")
-    assert (per_ray["aimed"] > PAYS * per_ray["natural"]) == pays
+    shot = [shoot_photons(traced, 2, 4000, way) for way in (kernel_aim.NATURAL, aim)]
+    natural, aimed = (len(points.power) / rays for points, _, rays in shot)
+    print(f"\n{aimed / natural:.1f} times as many points a ray")
+    assert (aimed > PAYS * natural) == pays
 
 
 def test_no_aim_no_trial(cornell: SceneData) -> None:

@@ -141,9 +141,9 @@ def test_the_run_itself(clock: Clock) -> None:
         run.trace()
         return run.film.sums[0, 0] / run.film.passes
 
-    found, error = bias(estimate, 14, 2 * RUNS)
+    found, error = bias(estimate, 14, 4 * RUNS)
     assert abs(found) < CERTAIN * error
-    assert error < 0.003
+    assert error < 0.002
 
 
 class StoppedRun(SerialRun):
@@ -192,9 +192,9 @@ def test_a_resumed_run(clock: Clock) -> None:
         assert second.film.passes >= first.film.passes
         return second.film.sums[0, 0] / second.film.passes
 
-    found, error = bias(estimate, 14)
+    found, error = bias(estimate, 14, 2 * RUNS)
     assert abs(found) < CERTAIN * error
-    assert error < 0.004
+    assert error < 0.003
 
 
 def test_rounds_that_end_at_known_borders(clock: Clock) -> None:

@@ -84,7 +84,7 @@ def cornell() -> SceneData:
 
 
 @pytest.mark.parametrize("sampling", SAMPLINGS)
-@pytest.mark.parametrize(("passes", "rival"), [(2000, 8000), (200, 8000)])
+@pytest.mark.parametrize(("passes", "rival"), [(2000, 8000), (200, 8000), (600, 8000)])
 def test_cornell(cornell: SceneData, passes: int, rival: int, sampling: str) -> None:
     assert_agree(cornell, ("iws+cf", passes), ("pt", rival), sampling=sampling)
 

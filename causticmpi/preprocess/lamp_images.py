@@ -289,8 +289,8 @@ def no_images() -> LampImages:
 
 
 def places_on_other_film(places: np.ndarray, size: tuple[int, int], other: tuple[int, int]) -> np.ndarray:
-    """Places (n, 2) [pixels] of a picture, width and height `size`, in one of other width and height that shows the
-    same: its field of view is that of the height, about the same middle."""
+    """Places [pixels] of a picture, width and height `size`, in one of other width and height that shows the same: its
+    field of view is that of the height, about the same middle. places: (n, 2), or (n, 1) for the same on both axes."""
     moved: np.ndarray = (places - np.array(size) / 2) * (other[1] / size[1]) + np.array(other) / 2
     return moved
 

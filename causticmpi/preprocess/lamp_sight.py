@@ -100,9 +100,9 @@ def with_images(sight: LampSight, images: LampImages, width: int, height: int) -
 
 def sides_on_other_film(sides: np.ndarray, size: tuple[int, int], other: tuple[int, int]) -> np.ndarray:
     """The sides of a picture, width and height `size`, in one of other width and height that shows the same."""
-    middles = np.stack(np.meshgrid(*(np.arange(end) + 0.5 for end in other)), axis=-1).reshape(-1, 2)
+    middles = np.arange(max(other))[:, None] + 0.5  # along either axis
     column, row = np.clip(places_on_other_film(middles, other, size), 0, np.array(size) - 1).astype(int).T
-    moved: np.ndarray = sides.reshape(size[1], size[0])[row, column]
+    moved: np.ndarray = sides.reshape(size[1], size[0])[row[: other[1], None], column[: other[0]]].ravel()
     return moved
 
 
