@@ -1,5 +1,5 @@
 #!/usr/bin/env -S sh -c '"${0%/*}"/setup_venv mpi && exec "${0%/*}"/../.venv/bin/python "$0" "$@"'
-"""Compile the kernels of every method, half of them in each of two processes; nothing to do where that was done before.
+"""Compile the kernels of every method in two processes; nothing to do where that was done before.
 
 For tests and benchmarks: else each of their processes compiles for itself what it comes to first.
 """
@@ -9,23 +9,24 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 
 from causticmpi.config.records import Forecast, RenderConfig
-from causticmpi.distributed.warmup import warm_up
+from causticmpi.distributed.warmup import compiled_so_far, warm_up_parts
 
-HALVES = ["iws+cf mixture"], ["iws+cf two", "iws+pm mixture", "iws mixture", "pt mixture", "pt-brute mixture"]
-"""Methods and samplings; either takes a process a minute or two."""
+PROCESSES = 2
+KINDS = "iws+cf mixture", "iws+cf two", "iws+pm mixture", "iws mixture", "pt mixture", "pt-brute mixture"
+"""Methods and samplings, what takes longest first."""
 
 
-def compile_all(kinds: list[str]) -> bool:
-    """Whether any kernel of these kinds had to be compiled."""
-    made = False
-    for kind in kinds:
-        method, sampling = kind.split()
-        config = RenderConfig(scene="", method=method, forecast=Forecast(sampling=sampling))
-        made |= warm_up(config, root=True, forecasting=method == "iws+cf")
-    return made
+def compile_part(kind: str, part: int) -> int:
+    """How many kernels of this part of a kind had to be compiled."""
+    method, sampling = kind.split()
+    config = RenderConfig(scene="", method=method, forecast=Forecast(sampling=sampling))
+    before = compiled_so_far()
+    warm_up_parts(config, forecasting=method == "iws+cf")[part]()
+    return compiled_so_far() - before
 
 
 if __name__ == "__main__":
-    with ProcessPoolExecutor(len(HALVES), get_context("spawn")) as pool:
-        made = any(list(pool.map(compile_all, HALVES)))
-    print("kernels: compiled anew" if made else "kernels: known", file=sys.stderr)
+    with ProcessPoolExecutor(PROCESSES, get_context("spawn")) as pool:
+        tasks = [pool.submit(compile_part, kind, part) for kind in KINDS for part in (0, 1)]
+        made = sum(task.result() for task in tasks)
+    print(f"kernels: {made} compiled anew" if made else "kernels: known", file=sys.stderr)

@@ -25,8 +25,8 @@ CLEAR = 1e-6
 """p-value below which an injected error counts as found; the right kernels must stay above ALPHA."""
 PACKAGE = REPOSITORY / "causticmpi"
 UNCACHED = """import numba
-from causticmpi.kernels.jit import FAST, inline
-kernel = numba.njit(fastmath=FAST, error_model="numpy", _nrt=False)
+from causticmpi.kernels.jit import POLICY, inline
+kernel = numba.njit(**POLICY)
 """
 """In place of the cached decorator: mutants must not settle in the folder of the right kernels."""
 

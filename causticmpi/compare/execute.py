@@ -21,7 +21,7 @@ from causticmpi.distributed.clock import Stopwatch
 from causticmpi.distributed.job import render_one
 from causticmpi.distributed.signals import StopFlag
 from causticmpi.distributed.snapshots import Snapshots
-from causticmpi.distributed.warmup import warm_up
+from causticmpi.distributed.warmup import warm_up, warm_up_parts
 from causticmpi.distributed.world import World
 from causticmpi.errors import InputError
 from causticmpi.output.directory import UNFINISHED, check_directory, write_whole
@@ -150,9 +150,13 @@ def _assembled(plan: Plan, name: str, scenes: Scenes) -> ReferencePicture:
 def _warm_up(world: World, runs: Sequence[Run], scenes: Scenes) -> None:
     """Compile and load all kernels before the first budget starts, so that no run pays for those after it."""
     kinds = {(run.config.method, run.config.forecast, scenes.specular[run.part]): run for run in runs}
-    for (method, _, specular), run in kinds.items():
-        forecasting = specular and method in FORECASTING
-        world.first_on_node(partial(warm_up, run.config, world.is_root, forecasting))
+    wanted = [(run.config, specular and method in FORECASTING) for (method, _, specular), run in kinds.items()]
+
+    def all_kinds() -> None:
+        for config, forecasting in wanted:
+            warm_up(config, world.is_root, forecasting)
+
+    world.first_on_node(all_kinds, [part for kind in wanted for part in warm_up_parts(*kind)])
 
 
 def _make(world: World, tasks: Sequence[Task], command: tuple[str, ...], flag: StopFlag, kind: str) -> int:

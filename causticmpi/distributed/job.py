@@ -11,7 +11,7 @@ from causticmpi.distributed.prepare import needs_forecast, share_scene
 from causticmpi.distributed.run import Run
 from causticmpi.distributed.signals import StopFlag
 from causticmpi.distributed.snapshots import Snapshots
-from causticmpi.distributed.warmup import compiling_is_told, warm_up
+from causticmpi.distributed.warmup import compiled_so_far, compiling_is_told, warm_up, warm_up_parts
 from causticmpi.distributed.world import World
 from causticmpi.errors import RunError
 from causticmpi.scene.data import SceneData
@@ -68,11 +68,11 @@ def render_one(
 
 def _warm_up(world: World, config: RenderConfig, scene: SceneData | None, watch: Stopwatch) -> None:
     """Compile once per node. Compiling lies outside the budget and is reported, loading compiled code lies within."""
-    began = time.perf_counter()
+    began, before = time.perf_counter(), compiled_so_far()
     forecasting = world.broadcast(scene is not None and needs_forecast(config, scene))
     with compiling_is_told() if world.is_root else nullcontext():
-        compiled = world.first_on_node(lambda: warm_up(config, world.is_root, forecasting))
+        world.first_on_node(lambda: warm_up(config, world.is_root, forecasting), warm_up_parts(config, forecasting))
     spent = time.perf_counter() - began
     watch.add("warmup", spent)
-    if world.all_max(int(compiled)):
+    if world.all_max(compiled_so_far() - before):
         watch.compiling += spent

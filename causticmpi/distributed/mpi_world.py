@@ -10,7 +10,7 @@ import os
 import pickle
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NoReturn, TypeVar, cast
 
 import numpy as np
@@ -207,7 +207,11 @@ class MpiWorld(World):
         if lowest < self.size:
             raise AgreedInputError(self.broadcast(str(error), root=lowest)) from error
 
-    def first_on_node(self, action: Callable[[], T]) -> T:
+    def first_on_node(self, action: Callable[[], T], parts: Sequence[Callable[[], object]] = ()) -> T:
+        if self.node_size > 1:
+            for part in parts[self.node_rank :: self.node_size]:
+                part()
+        self.barrier()
         result: list[T] = []
         refusal: InputError | None = None
         if self.is_node_leader:

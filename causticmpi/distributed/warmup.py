@@ -1,14 +1,18 @@
 """Compile, or load from disk, every kernel of a method before the clock matters: once per node, the others asleep."""
 
+import gc
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from msgspec.structs import replace
 
 from causticmpi.config.records import Camera, RenderConfig
+from causticmpi.distributed.prepare import PreparedScene, share_maps, share_scene
 from causticmpi.distributed.world import SerialWorld
 from causticmpi.estimators import (
     brute_force,
@@ -85,6 +89,13 @@ KERNELS = [
     features.first_hits,
 ]
 """Every kernel of the program, asked after their cache misses."""
+
+
+def compiled_so_far() -> int:
+    """How many kernels this process has compiled rather than loaded from disk."""
+    return compiled_anew(KERNELS)
+
+
 PATIENT = 2.0
 """Seconds of loading kernels after which it is told if they have to be compiled."""
 
@@ -123,61 +134,90 @@ def tiny_maps() -> ForecastMaps:
     )
 
 
-def warm_up(config: RenderConfig, root: bool, forecasting: bool) -> bool:
-    """Run the kernels of the configured method on a tiny scene. True if anything had to be compiled.
+@dataclass
+class _Tiny:
+    """What kernels are tried on: a scene as ranks share it, its camera and all pixels of a film of 4 x 4."""
+
+    scene: PreparedScene
+    camera: np.ndarray
+    pixels: np.ndarray
+
+
+@contextmanager
+def _tiny() -> Iterator[_Tiny]:
+    """Without Python's search for cycles: compiling makes millions of objects that stay, a tenth of its time."""
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        scene = share_scene(SerialWorld(), tiny_scene())
+        yield _Tiny(scene, camera_array(scene.data.camera, 4, 4), pixel_order((0, 0, 4, 4), 4))
+        scene.embree.close()
+    finally:
+        if collecting:
+            gc.enable()
+
+
+def warm_up(config: RenderConfig, root: bool, forecasting: bool) -> None:
+    """Run the kernels of the configured method on a tiny scene.
 
     root: also those only rank 0 needs (features, preprocess); forecasting: the scene needs forecast maps.
     """
-    from causticmpi.distributed.prepare import share_maps, share_scene
+    if root:
+        warm_up_root(config, forecasting)
+    warm_up_passes(config, forecasting)
 
-    before = compiled_anew(KERNELS)
-    config = replace(config, film=replace(config.film, width=4, height=4, crop=None))
-    world = SerialWorld()
-    scene = share_scene(world, tiny_scene())
-    camera = camera_array(scene.data.camera, 4, 4)
-    pixels = pixel_order((0, 0, 4, 4), 4)
-    rays = ray_buffer()
-    if root:
-        features.first_hits(scene.traced, camera, rays, pixels, np.zeros((16, 7), np.float32))
+
+def warm_up_parts(config: RenderConfig, forecasting: bool) -> list[Callable[[], None]]:
+    """What of `warm_up` processes can do at the same time, the longer part first."""
+    return [partial(warm_up_passes, config, forecasting), partial(warm_up_root, config, forecasting)]
+
+
+def warm_up_root(config: RenderConfig, forecasting: bool) -> None:
+    """Those kernels of a method that rank 0 alone runs."""
     mapping = config.method == "iws+pm"
-    if root and config.method not in BY_CHANCE:
-        learn_guides(scene.traced, camera, 4, 4, 0, 1.0, view.see_views(scene.traced, camera, 4, 4, 0))
-        mask = lamp_sight.lamp_sight(scene.data, camera, 4, 4, 1).sides > 0
-        lamp_images.find_images(scene.data, scene.traced, camera, 4, mask)
-    if root and (forecasting or mapping):
-        shoot_photons(scene.traced, 0, 1)
-        points = CausticPoints(*(array + 1 for array in no_points(4)))
-        if mapping:
-            build_photon_map(points, 1, 2)
-        else:
-            build_forecast(points, 0, 2, 2, (4, 4), 8, 1, clustering=config.forecast.clustering)
+    with _tiny() as tiny:
+        traced, camera = tiny.scene.traced, tiny.camera
+        features.first_hits(traced, camera, ray_buffer(), tiny.pixels, np.zeros((16, 7), np.float32))
+        if config.method not in BY_CHANCE:
+            learn_guides(traced, camera, 4, 4, 0, 1.0, view.see_views(traced, camera, 4, 4, 0))
+            mask = lamp_sight.lamp_sight(tiny.scene.data, camera, 4, 4, 1).sides > 0
+            lamp_images.find_images(tiny.scene.data, traced, camera, 4, mask)
+        if forecasting or mapping:
+            shoot_photons(traced, 0, 1)
+            points = CausticPoints(*(array + 1 for array in no_points(4)))
+            if mapping:
+                build_photon_map(points, 1, 2)
+            else:
+                build_forecast(points, 0, 2, 2, (4, 4), 8, 1, clustering=config.forecast.clustering)
+        groups, sums = precision.Precision(4), Film(16, 2.0**-40).sums
+        groups.take(sums, 2, 1.0)
+        groups.take(sums, 4, 1.0)
+
+
+def warm_up_passes(config: RenderConfig, forecasting: bool) -> None:
+    """Those kernels of a method that passes run."""
+    config = replace(config, film=replace(config.film, width=4, height=4, crop=None))
     maps: ForecastMaps | PhotonMap
-    if mapping:
-        maps = share_maps(world, no_photon_map(config.photon_map.neighbours))
+    if config.method == "iws+pm":
+        maps = share_maps(SerialWorld(), no_photon_map(config.photon_map.neighbours))
     else:
-        maps = share_maps(world, tiny_maps() if forecasting else forecast.no_forecast())
-    everywhere = lamp_sight.looks_of(np.ones(16))
-    method = make_method(config, scene.traced, camera, maps, 1.0, sight=everywhere)
-    method.begin_pass(0)
-    pass_film = np.zeros((16, 6), np.float32)
-    method.trace(pixels, pass_film)
-    if isinstance(maps, ForecastMaps) and needs_pilot(config, maps):  # which may choose to go without maps
-        plain = make_method(config, scene.traced, camera, forecast.no_forecast(), 1.0)
-        plain.begin_pass(0)
-        plain.trace(pixels, pass_film)
-    sums = Film(16, 2.0**-40)
-    sums.add_pass(pass_film)
-    if root:
-        groups = precision.Precision(4)
-        groups.take(sums.sums, 2, 1.0)
-        groups.take(sums.sums, 4, 1.0)
-    if traces_light(config) and forecasting:
-        light_film = np.zeros((16, 3), np.float32)
-        method.light_paths = 1
-        method.trace_light(0, 0, 1, light_film)
-        Film(16, 2.0**-40, light=True).add_light(light_film)
-    scene.embree.close()
-    return compiled_anew(KERNELS) > before
+        maps = share_maps(SerialWorld(), tiny_maps() if forecasting else forecast.no_forecast())
+    with _tiny() as tiny:
+        eye = (config, tiny.scene.traced, tiny.camera)
+        pass_film = np.zeros((16, 6), np.float32)
+        method = make_method(*eye, maps, 1.0, sight=lamp_sight.looks_of(np.ones(16)))
+        method.begin_pass(0)
+        method.trace(tiny.pixels, pass_film)
+        if isinstance(maps, ForecastMaps) and needs_pilot(config, maps):  # which may choose to go without maps
+            plain = make_method(*eye, forecast.no_forecast(), 1.0)
+            plain.begin_pass(0)
+            plain.trace(tiny.pixels, pass_film)
+        Film(16, 2.0**-40).add_pass(pass_film)
+        if traces_light(config) and forecasting:
+            light_film = np.zeros((16, 3), np.float32)
+            method.light_paths = 1
+            method.trace_light(0, 0, 1, light_film)
+            Film(16, 2.0**-40, light=True).add_light(light_film)
 
 
 @contextmanager
@@ -193,6 +233,6 @@ def compiling_is_told() -> Iterator[None]:
 
 
 def _tell_of_compiling() -> None:
-    if compiled_anew(KERNELS):
+    if compiled_so_far():
         told = "compiling kernels, once for each method: a minute or two that no budget counts"
         print(f"causticmpi: {told}", file=sys.stderr, flush=True)

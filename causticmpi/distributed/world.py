@@ -5,7 +5,7 @@ have to know are exchanged with `agree`; anything else that escapes on one rank 
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import TracebackType
 from typing import Any, NoReturn, Self, TypeVar
 
@@ -134,11 +134,13 @@ class World(ABC):
         """Collective. Raises AgreedInputError on all ranks, with the lowest failing rank's message, if any has one."""
 
     @abstractmethod
-    def first_on_node(self, action: Callable[[], T]) -> T:
+    def first_on_node(self, action: Callable[[], T], parts: Sequence[Callable[[], object]] = ()) -> T:
         """Collective. Run `action` on the node's leader while the others sleep, then on the others; return its result.
 
-        For what is worth doing once per node, such as filling a compile cache. An InputError of a leader is raised on
-        all ranks as AgreedInputError; any other error is raised on the leader alone, which is to end the others.
+        For what is worth doing once per node, such as filling a compile cache. parts: what of it can be done at the
+        same time and leaves nothing to do again; ranks that share a node take turns at them first. An InputError of a
+        leader is raised on all ranks as AgreedInputError; any other error is raised where it happened, on a rank that
+        is to end the others.
         """
 
     @abstractmethod
@@ -205,7 +207,7 @@ class SerialWorld(World):
         if error is not None:
             raise AgreedInputError(str(error)) from error
 
-    def first_on_node(self, action: Callable[[], T]) -> T:
+    def first_on_node(self, action: Callable[[], T], parts: Sequence[Callable[[], object]] = ()) -> T:
         return action()
 
     def abort(self, code: int) -> NoReturn:

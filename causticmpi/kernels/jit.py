@@ -62,7 +62,12 @@ numba_config: Any = numba.config
 numba_config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"]
 
 _njit: Any = numba.njit  # its stubs do not know `_nrt`
-FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
+_register: Any = numba.extending.register_jitable
+POLICY: dict[str, Any] = {
+    "fastmath": {"nsz", "arcp", "contract", "afn", "reassoc"},
+    "error_model": "numpy",
+    "_nrt": False,
+}
 
 
 def kernel(function: Callable[..., Any]) -> Any:
@@ -70,12 +75,16 @@ def kernel(function: Callable[..., Any]) -> Any:
 
     `_nrt=False`: kernels allocate nothing and count no references; workspace is handed in.
     """
-    return _njit(cache=True, fastmath=FAST, error_model="numpy", _nrt=False)(function)
+    return _njit(cache=True, no_cfunc_wrapper=True, **POLICY)(function)
 
 
 def inline(function: Callable[..., Any]) -> Any:
-    """A helper of kernels, always inlined: passing a scene of 17 arrays by value costs more than most helpers do."""
-    return _njit(fastmath=FAST, error_model="numpy", forceinline=True, _nrt=False)(function)
+    """A helper of kernels, always inlined: passing a scene of 17 arrays by value costs more than most helpers do.
+
+    Called from Python it runs as plain Python. A compiled entry for Python, which unpacks 17 arrays too, would cost
+    more to compile than most helpers do: two fifths of the minutes that the first render waits.
+    """
+    return _register(forceinline=True, no_cfunc_wrapper=True, **POLICY)(function)
 
 
 def _prefetch(typingctx: Any, address: Any) -> Any:

@@ -2,6 +2,7 @@
 
 import sys
 import time
+from functools import partial
 
 import numpy as np
 from reporting import say, say_shared_files
@@ -99,6 +100,21 @@ def check_first_on_node(world: MpiWorld) -> None:
         assert node_rank == 0 or start >= spans[leader][2][1], "ran before its node's leader had finished"
 
 
+def check_parts_of_what_is_first_on_a_node(world: MpiWorld) -> None:
+    """Ranks of a node share the parts out and end them all before its leader begins; a rank alone has no use for it."""
+    done: list[tuple[int, float]] = []
+
+    def part(number: int) -> None:
+        time.sleep(0.1 * number)
+        done.append((number, time.monotonic()))
+
+    began = world.first_on_node(time.monotonic, [partial(part, number) for number in range(3)])
+    node = world.node.gather((began, done))
+    if node is not None:
+        assert sorted(n for _, theirs in node for n, _ in theirs) == ([0, 1, 2] if world.node_size > 1 else []), node
+        assert all(end <= node[0][0] for _, theirs in node for _, end in theirs), "began before the parts were done"
+
+
 def check_handing_out(world: MpiWorld) -> None:
     """Every piece to one rank, whoever is slow; nothing is kept back for a leader who is asleep over its first one."""
     for count in (0, 1, 60 * world.size, 7):
@@ -126,6 +142,7 @@ def main() -> None:
         check_share(world, chunk_bytes)
     check_sums(world)
     check_first_on_node(world)
+    check_parts_of_what_is_first_on_a_node(world)
     check_handing_out(world)
     kept = world.share(reference() if world.is_root else None)
     say_shared_files()
