@@ -39,6 +39,7 @@ from causticmpi.render.looks import (
     MOSTLY,
     OFTEN,
     SIGHT_SIDE,
+    SURE,
     LampPasses,
     LampTrial,
     LookNeeds,
@@ -323,6 +324,34 @@ def test_what_larger_lamps_do_not_tell_is_as_measured(faint: float) -> None:
     assert needs.errors.max() <= max(own.max(), own[~often].sum())
     if not faint:
         np.testing.assert_allclose(needs.errors, own)
+
+
+GLINTS = (3, 4, 5, 6)
+"""Columns of pixels where lamps are seldom met."""
+
+
+@pytest.mark.parametrize("pixels, promised", [(20, 2), (20, 320), (1, 2)])
+def test_glints_too_rare_to_be_met_are_looked_for_as_larger_lamps_tell(pixels: int, promised: int) -> None:
+    """As far as these are sure of it, as the sum of one pixel is not, and as real lamps do not belie them: none of the
+    hits that they promised came."""
+    often = trial_of().grid.met >= OFTEN
+    blind = LampPasses(
+        trial_of().grid.mean * often[:, None],
+        trial_of().grid.variance * often[:, None],
+        trial_of().grid.met * often,
+        1.0,
+    )
+    glint = np.flatnonzero(np.isin(np.arange(COUNT) % SHAPE[1], GLINTS))[:pixels]
+    larger, variance = np.zeros((2, COUNT, 3))
+    larger[glint], variance[glint] = 1.0, 700.0
+    met = np.zeros(COUNT, np.int64)
+    met[glint] = promised / pixels * (LARGER_PASSES * LARGER**2) / (TRIED * SIGHT_SIDE**2)
+    trial = trial_of(grid=blind, larger=LampPasses(larger, variance, met, 1.0))
+    errors = trial.needs(REST, FLOOR).errors[~often]
+    told = (variance / ((REST + trial.level) ** 2 + FLOOR)).mean(axis=1)[~often] / (LARGER * SIGHT_SIDE) ** 2
+    least = told.sum() - SURE * np.sqrt(np.square(told).sum())
+    assert errors.sum() == pytest.approx(max(0.0, least) * min(1.0, OFTEN / promised), rel=0.05)
+    assert (errors.sum() > 0) == (pixels > 1)
 
 
 def test_a_trial_finds_what_the_looks_find(black: Found) -> None:

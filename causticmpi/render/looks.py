@@ -16,7 +16,7 @@ from causticmpi.config.records import Film
 from causticmpi.estimators.lamps_in_sight import see_lamps, sight_work
 from causticmpi.kernels.pixels import pixel_order
 from causticmpi.kernels.traced_scene import TracedScene
-from causticmpi.preprocess.lamp_sight import MOST_SIDE, LampSight, at_most, with_larger_lamps
+from causticmpi.preprocess.lamp_sight import LARGER, MOST_SIDE, LampSight, at_most, with_larger_lamps
 from causticmpi.scene.data import SceneData
 
 PASSES = 16
@@ -32,6 +32,8 @@ OFTEN, MOSTLY = 4, 12
 """Passes of the trial that met a lamp in a pixel, from which on its error is known, and how it falls with the side."""
 EVEN, AT_RANDOM = 3.0, 2.0
 """Powers of the side by which the error of a grid falls: evenly spaced looks at an edge, and looks at random."""
+SURE = 2.0
+"""Standard errors by which the noise of glints may be less than LARGER lamps tell."""
 AMOUNTS = np.geomspace(0.25, 256, 21)
 """Looks at a pixel of mean error: what is tried."""
 MOST_LOOKS = 6
@@ -119,21 +121,32 @@ class LampTrial:
         made: np.ndarray = np.maximum(blurred, 0) * self.seen[:, None]
         return made
 
-    def _shared(self, whole: np.ndarray, shares: np.ndarray) -> np.ndarray:
-        """`shares` times what makes it sum up to `whole` where lamps were seldom met, and nowhere more than there at
-        most; `whole` itself where nothing has a share."""
+    def _shared(self, whole: np.ndarray, shares: np.ndarray, least: float = 0.0) -> np.ndarray:
+        """`shares` times what makes it sum up to `whole`, or `least`, where lamps were seldom met, and nowhere more
+        than there at most; `whole` itself where nothing has a share."""
         seldom = ~self.often
         if not shares[seldom].any():
             return (whole.T * seldom).T
-        made = shares * (whole[seldom].sum() / shares[seldom].sum())
+        made = shares * (max(whole[seldom].sum(), least) / shares[seldom].sum())
         return np.minimum(made, made[seldom].max())
+
+    def _surely(self, level2: np.ndarray) -> float:
+        """Sum of relative squared errors of grids of SIGHT_SIDE where lamps were seldom met, at least: as LARGER ones
+        tell, less SURE standard errors, since single pixels may account for most of it; in part where real lamps were
+        met less often than LARGER ones promise, for something may hide them."""
+        seldom, wider = ~self.often, LARGER**2
+        errors = (self.larger.variance / level2).mean(axis=1)[seldom] / (wider * SIGHT_SIDE**2)
+        least = errors.sum() - SURE * math.sqrt(np.square(errors).sum())
+        promised = self.larger.met[seldom].sum() / (LARGER_PASSES * wider) * PASSES * SIGHT_SIDE**2
+        met = self.grid.met[seldom].sum() + OFTEN  # benefit of the doubt for those that were to be met a few times
+        return float(least * min(1.0, met / max(1.0, promised)))
 
     def needs(self, rest: np.ndarray, floor: float) -> LookNeeds:
         """rest (slots, 3): radiance without lamps; floor: of the relative squared error [radiance^2]."""
         level2 = (rest + self.level) ** 2 + floor
         grid, single = ((lamps.variance / level2).mean(axis=1) for lamps in (self.grid, self.single))
         # The root tells better how pixels compare than the mean does, or its square: few hits rule it less.
-        foretold = self._shared(grid, np.sqrt((self._blurred / np.sqrt(level2)).mean(axis=1)))
+        foretold = self._shared(grid, np.sqrt((self._blurred / np.sqrt(level2)).mean(axis=1)), self._surely(level2))
         mostly = self.grid.met >= MOSTLY
         known, known_single = grid[mostly].sum(), single[mostly].sum()
         power = math.log2(known_single / known) / math.log2(SIGHT_SIDE) if known > 0 and known_single > 0 else AT_RANDOM
