@@ -78,6 +78,11 @@ def kernel(function: Callable[..., Any]) -> Any:
     return _njit(cache=True, no_cfunc_wrapper=True, **POLICY)(function)
 
 
+def exact_kernel(function: Callable[..., Any]) -> Any:
+    """A kernel whose every operation is rounded as IEEE 754 has it: the same to the last bit on every machine."""
+    return _njit(cache=True, no_cfunc_wrapper=True, error_model="numpy", _nrt=False)(function)
+
+
 def inline(function: Callable[..., Any]) -> Any:
     """A helper of kernels, always inlined: passing a scene of 17 arrays by value costs more than most helpers do.
 

@@ -187,7 +187,10 @@ class Film:
 
     def _touched_rows(self) -> Iterator[slice]:
         """Runs of touched blocks in this process's part."""
-        ends = np.flatnonzero(np.diff(self.touched[self._own], prepend=False, append=False))
+        own = self.touched[self._own]
+        between = np.zeros(len(own) + 2, bool)
+        between[1:-1] = own
+        ends = np.flatnonzero(between[1:] != between[:-1])
         ends = BLOCK * (self._own.start + ends)
         return (slice(start, stop) for start, stop in ends.reshape(-1, 2).tolist())
 

@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
+from causticmpi.kernels.jit import exact_kernel
+
 Field = Callable[[np.ndarray], np.ndarray]
 """(N, 3) float64 -> (N,) float64."""
 Point = tuple[float, float, float]
@@ -18,26 +20,35 @@ Bead = tuple[float, float, float, float]
 
 def tube(beads: Sequence[Bead], flat: float = 1.0) -> Field:
     """A string of tapered capsules through the beads, its extent along z times `flat`."""
-    rows = [_segment(a, b, flat) for a, b in zip(beads[:-1], beads[1:], strict=True)]
+    rows = np.array([_segment(a, b, flat) for a, b in zip(beads[:-1], beads[1:], strict=True)])
 
     def field(points: np.ndarray) -> np.ndarray:
-        x, y, z = points[:, 0], points[:, 1], points[:, 2] / flat
         nearest = np.full(len(points), np.inf)
-        for (ax, ay, az), (bx, by, bz), radius, growth, squared in rows:
-            px, py, pz = x - ax, y - ay, z - az
-            along = np.clip((px * bx + py * by + pz * bz) / squared, 0.0, 1.0)
-            px, py, pz = px - along * bx, py - along * by, pz - along * bz
-            distance = np.sqrt(px * px + py * py + pz * pz) - (radius + along * growth)
-            np.minimum(nearest, distance, out=nearest)
+        _to_segments(rows, points[:, 0].copy(), points[:, 1].copy(), points[:, 2] / flat, nearest)
         return nearest * min(flat, 1.0)
 
     return field
 
 
-def _segment(a: Bead, b: Bead, flat: float) -> tuple[Point, Point, float, float, float]:
-    start = (a[0], a[1], a[2] / flat)
-    axis = (b[0] - a[0], b[1] - a[1], (b[2] - a[2]) / flat)
-    return start, axis, a[3], b[3] - a[3], axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2]
+def _segment(a: Bead, b: Bead, flat: float) -> tuple[float, ...]:
+    """Start, axis, radius, its growth along the axis, squared length."""
+    x, y, z = b[0] - a[0], b[1] - a[1], (b[2] - a[2]) / flat
+    return a[0], a[1], a[2] / flat, x, y, z, a[3], b[3] - a[3], x * x + y * y + z * z
+
+
+@exact_kernel
+def _to_segments(rows, x, y, z, nearest):
+    """Lessen `nearest` (N,) to the distance of each point from the nearest tapered capsule, negative within."""
+    for s in range(rows.shape[0]):
+        row = rows[s]
+        ax, ay, az, bx, by, bz = row[0], row[1], row[2], row[3], row[4], row[5]
+        radius, growth, squared = row[6], row[7], row[8]
+        for i in range(x.shape[0]):
+            px, py, pz = x[i] - ax, y[i] - ay, z[i] - az
+            along = min(max((px * bx + py * by + pz * bz) / squared, 0.0), 1.0)
+            px, py, pz = px - along * bx, py - along * by, pz - along * bz
+            distance = math.sqrt(px * px + py * py + pz * pz) - (radius + along * growth)
+            nearest[i] = min(nearest[i], distance)
 
 
 def sheet(a: Point, b: Point, c: Point, radius: float) -> Field:
