@@ -9,7 +9,7 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 
 from causticmpi.config.records import Forecast, RenderConfig
-from causticmpi.distributed.warmup import compiled_so_far, warm_up_parts
+from causticmpi.distributed.warmup import PARTS, compiled_so_far, warm_up_parts
 
 PROCESSES = 2
 KINDS = "iws+cf mixture", "iws+cf two", "iws+pm mixture", "iws mixture", "pt mixture", "pt-brute mixture"
@@ -27,6 +27,6 @@ def compile_part(kind: str, part: int) -> int:
 
 if __name__ == "__main__":
     with ProcessPoolExecutor(PROCESSES, get_context("spawn")) as pool:
-        tasks = [pool.submit(compile_part, kind, part) for kind in KINDS for part in (0, 1)]
+        tasks = [pool.submit(compile_part, kind, part) for kind in KINDS for part in range(PARTS)]
         made = sum(task.result() for task in tasks)
     print(f"kernels: {made} compiled anew" if made else "kernels: known", file=sys.stderr)

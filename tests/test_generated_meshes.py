@@ -96,6 +96,21 @@ def test_fields_are_distances() -> None:
     np.testing.assert_allclose(union([(rod, 0.1), (rod, 0.1)])(points), rod(points) - 0.1 / 4)
 
 
+def test_capsules_are_those_of_a_plain_sum_to_the_last_bit() -> None:
+    chance = np.random.default_rng(8)
+    points, flat = chance.uniform(-1, 1, (1000, 3)), 0.3
+    beads: list[Bead] = [tuple(row) for row in chance.uniform(0.1, 1, (5, 4)).tolist()]  # type: ignore[misc]
+    x, y, z = points[:, 0], points[:, 1], points[:, 2] / flat
+    nearest = np.full(len(points), np.inf)
+    for (ax, ay, az, r), (bx, by, bz, s) in zip(beads[:-1], beads[1:], strict=True):
+        ux, uy, uz = bx - ax, by - ay, (bz - az) / flat
+        px, py, pz = x - ax, y - ay, z - az / flat
+        along = np.clip((px * ux + py * uy + pz * uz) / (ux * ux + uy * uy + uz * uz), 0.0, 1.0)
+        px, py, pz = px - along * ux, py - along * uy, pz - along * uz
+        nearest = np.minimum(nearest, np.sqrt(px * px + py * py + pz * pz) - (r + along * (s - r)))
+    assert tube(beads, flat)(points).tobytes() == (nearest * flat).tobytes()
+
+
 def test_a_spline_runs_through_its_beads() -> None:
     beads: list[Bead] = [(0, 0, 0, 1), (1, 2, 0, 0.5), (3, 1, 1, 0.2), (4, 0, 0, 0.1)]
     curve = spline(beads, 5)

@@ -21,7 +21,7 @@ from causticmpi.distributed.clock import Stopwatch
 from causticmpi.distributed.job import render_one
 from causticmpi.distributed.signals import StopFlag
 from causticmpi.distributed.snapshots import Snapshots
-from causticmpi.distributed.warmup import warm_up, warm_up_parts
+from causticmpi.distributed.warmup import PARTS, warm_up, warm_up_parts
 from causticmpi.distributed.world import World
 from causticmpi.errors import InputError
 from causticmpi.output.directory import UNFINISHED, check_directory, write_whole
@@ -156,7 +156,12 @@ def _warm_up(world: World, runs: Sequence[Run], scenes: Scenes) -> None:
         for config, forecasting in wanted:
             warm_up(config, world.is_root, forecasting)
 
-    world.first_on_node(all_kinds, [part for kind in wanted for part in warm_up_parts(*kind)])
+    def part_of_all(part: int) -> None:
+        for kind in wanted:
+            warm_up_parts(*kind)[part]()
+
+    # Two parts however many kinds: these share most kernels, and rank 1 is warm for what renders give it.
+    world.first_on_node(all_kinds, [partial(part_of_all, part) for part in range(PARTS)])
 
 
 def _make(world: World, tasks: Sequence[Task], command: tuple[str, ...], flag: StopFlag, kind: str) -> int:

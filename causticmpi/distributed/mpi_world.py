@@ -211,7 +211,7 @@ class MpiWorld(World):
         if self.node_size > 1:
             for part in parts[self.node_rank :: self.node_size]:
                 part()
-        self.barrier()
+        wait(self.node.Ibarrier())
         result: list[T] = []
         refusal: InputError | None = None
         if self.is_node_leader:

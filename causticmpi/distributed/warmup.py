@@ -1,4 +1,5 @@
-"""Compile, or load from disk, every kernel of a method before the clock matters: once per node, the others asleep."""
+"""Compile, or load from disk, every kernel of a method before the clock matters: on two ranks of each node, the others
+asleep."""
 
 import gc
 import sys
@@ -88,7 +89,7 @@ KERNELS = [
     precision._group_variance,
     features.first_hits,
 ]
-"""Every kernel of the program, asked after their cache misses."""
+"""Every kernel of a render but that which makes a mesh, asked after their cache misses."""
 
 
 def compiled_so_far() -> int:
@@ -145,14 +146,15 @@ class _Tiny:
 
 @contextmanager
 def _tiny() -> Iterator[_Tiny]:
-    """Without Python's search for cycles: compiling makes millions of objects that stay, a tenth of its time."""
+    """Something to try kernels on, without Python's search for cycles meanwhile: compiling makes millions of objects
+    that stay, and the search would take a tenth of its time."""
     collecting = gc.isenabled()
     gc.disable()
+    scene = share_scene(SerialWorld(), tiny_scene())
     try:
-        scene = share_scene(SerialWorld(), tiny_scene())
         yield _Tiny(scene, camera_array(scene.data.camera, 4, 4), pixel_order((0, 0, 4, 4), 4))
-        scene.embree.close()
     finally:
+        scene.embree.close()
         if collecting:
             gc.enable()
 
@@ -165,6 +167,9 @@ def warm_up(config: RenderConfig, root: bool, forecasting: bool) -> None:
     if root:
         warm_up_root(config, forecasting)
     warm_up_passes(config, forecasting)
+
+
+PARTS = 2
 
 
 def warm_up_parts(config: RenderConfig, forecasting: bool) -> list[Callable[[], None]]:

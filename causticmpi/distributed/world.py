@@ -138,9 +138,9 @@ class World(ABC):
         """Collective. Run `action` on the node's leader while the others sleep, then on the others; return its result.
 
         For what is worth doing once per node, such as filling a compile cache. parts: what of it can be done at the
-        same time and leaves nothing to do again; ranks that share a node take turns at them first. An InputError of a
-        leader is raised on all ranks as AgreedInputError; any other error is raised where it happened, on a rank that
-        is to end the others.
+        same time and leaves nothing to do again; ranks that share a node take turns at them first. An InputError of
+        `action` on a leader is raised on all ranks as AgreedInputError; any other error, and any of a part, is raised
+        where it happened, on a rank that is to end the others.
         """
 
     @abstractmethod

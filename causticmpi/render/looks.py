@@ -2,7 +2,7 @@
 
 Where looks of a pilot often met a lamp their own variance tells. Glints are met too seldom for that, each outshines its
 pixel, and a few pixels hold most of their noise: there single looks at lamps many times as wide tell where real ones
-might meet them. Nothing of this enters a picture; it costs and saves time alone.
+might meet them, and that more come than were met. Nothing of this enters a picture; it costs and saves time alone.
 """
 
 import math
@@ -122,8 +122,8 @@ class LampTrial:
         return made
 
     def _shared(self, whole: np.ndarray, shares: np.ndarray, least: float = 0.0) -> np.ndarray:
-        """`shares` times what makes it sum up to `whole`, or `least`, where lamps were seldom met, and nowhere more
-        than there at most; `whole` itself where nothing has a share."""
+        """`shares` times what makes it sum up to `whole` where lamps were seldom met, or to `least` where that is
+        more, and nowhere more than there at most; `whole` itself where nothing has a share."""
         seldom = ~self.often
         if not shares[seldom].any():
             return (whole.T * seldom).T

@@ -9,8 +9,6 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
-from causticmpi.kernels.jit import exact_kernel
-
 Field = Callable[[np.ndarray], np.ndarray]
 """(N, 3) float64 -> (N,) float64."""
 Point = tuple[float, float, float]
@@ -23,8 +21,11 @@ def tube(beads: Sequence[Bead], flat: float = 1.0) -> Field:
     rows = np.array([_segment(a, b, flat) for a, b in zip(beads[:-1], beads[1:], strict=True)])
 
     def field(points: np.ndarray) -> np.ndarray:
+        # Late: it brings numba along, and only who makes a mesh needs it.
+        from causticmpi.scene.generated.capsules import lessen_to_capsules
+
         nearest = np.full(len(points), np.inf)
-        _to_segments(rows, points[:, 0].copy(), points[:, 1].copy(), points[:, 2] / flat, nearest)
+        lessen_to_capsules(rows, points[:, 0].copy(), points[:, 1].copy(), points[:, 2] / flat, nearest)
         return nearest * min(flat, 1.0)
 
     return field
@@ -34,21 +35,6 @@ def _segment(a: Bead, b: Bead, flat: float) -> tuple[float, ...]:
     """Start, axis, radius, its growth along the axis, squared length."""
     x, y, z = b[0] - a[0], b[1] - a[1], (b[2] - a[2]) / flat
     return a[0], a[1], a[2] / flat, x, y, z, a[3], b[3] - a[3], x * x + y * y + z * z
-
-
-@exact_kernel
-def _to_segments(rows, x, y, z, nearest):
-    """Lessen `nearest` (N,) to the distance of each point from the nearest tapered capsule, negative within."""
-    for s in range(rows.shape[0]):
-        row = rows[s]
-        ax, ay, az, bx, by, bz = row[0], row[1], row[2], row[3], row[4], row[5]
-        radius, growth, squared = row[6], row[7], row[8]
-        for i in range(x.shape[0]):
-            px, py, pz = x[i] - ax, y[i] - ay, z[i] - az
-            along = min(max((px * bx + py * by + pz * bz) / squared, 0.0), 1.0)
-            px, py, pz = px - along * bx, py - along * by, pz - along * bz
-            distance = math.sqrt(px * px + py * py + pz * pz) - (radius + along * growth)
-            nearest[i] = min(nearest[i], distance)
 
 
 def sheet(a: Point, b: Point, c: Point, radius: float) -> Field:
