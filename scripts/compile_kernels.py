@@ -5,28 +5,32 @@ For tests and benchmarks: else each of their processes compiles for itself what 
 """
 
 import sys
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 
 from causticmpi.config.records import Forecast, RenderConfig
-from causticmpi.distributed.warmup import PARTS, compiled_so_far, warm_up_parts
+from causticmpi.distributed.warmup import compiled_so_far, warm_up_parts
 
 PROCESSES = 2
 KINDS = "iws+cf mixture", "iws+cf two", "iws+pm mixture", "iws mixture", "pt mixture", "pt-brute mixture"
 """Methods and samplings, what takes longest first."""
 
 
-def compile_part(kind: str, part: int) -> int:
-    """How many kernels of this part of a kind had to be compiled."""
+def parts_of(kind: str) -> list[Callable[[], None]]:
     method, sampling = kind.split()
     config = RenderConfig(scene="", method=method, forecast=Forecast(sampling=sampling))
+    return warm_up_parts(config, forecasting=method == "iws+cf")
+
+
+def compiled_by(part: Callable[[], None]) -> int:
+    """How many kernels a part had to compile."""
     before = compiled_so_far()
-    warm_up_parts(config, forecasting=method == "iws+cf")[part]()
+    part()
     return compiled_so_far() - before
 
 
 if __name__ == "__main__":
     with ProcessPoolExecutor(PROCESSES, get_context("spawn")) as pool:
-        tasks = [pool.submit(compile_part, kind, part) for kind in KINDS for part in range(PARTS)]
-        made = sum(task.result() for task in tasks)
+        made = sum(pool.map(compiled_by, [part for kind in KINDS for part in parts_of(kind)]))
     print(f"kernels: {made} compiled anew" if made else "kernels: known", file=sys.stderr)

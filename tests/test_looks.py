@@ -334,13 +334,9 @@ GLINTS = (3, 4, 5, 6)
 def test_glints_too_rare_to_be_met_are_looked_for_as_larger_lamps_tell(pixels: int, promised: int) -> None:
     """As far as these are sure of it, as the sum of one pixel is not, and as real lamps do not belie them: none of the
     hits that they promised came."""
-    often = trial_of().grid.met >= OFTEN
-    blind = LampPasses(
-        trial_of().grid.mean * often[:, None],
-        trial_of().grid.variance * often[:, None],
-        trial_of().grid.met * often,
-        1.0,
-    )
+    grid = trial_of().grid
+    often = grid.met >= OFTEN
+    blind = LampPasses(grid.mean * often[:, None], grid.variance * often[:, None], grid.met * often, 1.0)
     glint = np.flatnonzero(np.isin(np.arange(COUNT) % SHAPE[1], GLINTS))[:pixels]
     larger, variance = np.zeros((2, COUNT, 3))
     larger[glint], variance[glint] = 1.0, 700.0

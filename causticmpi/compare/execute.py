@@ -21,7 +21,7 @@ from causticmpi.distributed.clock import Stopwatch
 from causticmpi.distributed.job import render_one
 from causticmpi.distributed.signals import StopFlag
 from causticmpi.distributed.snapshots import Snapshots
-from causticmpi.distributed.warmup import PARTS, warm_up, warm_up_parts
+from causticmpi.distributed.warmup import warm_up, warm_up_parts
 from causticmpi.distributed.world import World
 from causticmpi.errors import InputError
 from causticmpi.output.directory import UNFINISHED, check_directory, write_whole
@@ -156,12 +156,13 @@ def _warm_up(world: World, runs: Sequence[Run], scenes: Scenes) -> None:
         for config, forecasting in wanted:
             warm_up(config, world.is_root, forecasting)
 
-    def part_of_all(part: int) -> None:
-        for kind in wanted:
-            warm_up_parts(*kind)[part]()
+    def in_turn(parts: Sequence[Callable[[], None]]) -> None:
+        for part in parts:
+            part()
 
-    # Two parts however many kinds: these share most kernels, and rank 1 is warm for what renders give it.
-    world.first_on_node(all_kinds, [partial(part_of_all, part) for part in range(PARTS)])
+    # As many parts as one kind has: kinds share most kernels, and rank 1 is warm for what renders give it.
+    parts = zip(*(warm_up_parts(*kind) for kind in wanted), strict=True)
+    world.first_on_node(all_kinds, [partial(in_turn, part) for part in parts])
 
 
 def _make(world: World, tasks: Sequence[Task], command: tuple[str, ...], flag: StopFlag, kind: str) -> int:

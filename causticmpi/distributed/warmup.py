@@ -149,8 +149,8 @@ def _tiny() -> Iterator[_Tiny]:
     """Something to try kernels on, without Python's search for cycles meanwhile: compiling makes millions of objects
     that stay, and the search would take a tenth of its time."""
     collecting = gc.isenabled()
-    gc.disable()
     scene = share_scene(SerialWorld(), tiny_scene())
+    gc.disable()
     try:
         yield _Tiny(scene, camera_array(scene.data.camera, 4, 4), pixel_order((0, 0, 4, 4), 4))
     finally:
@@ -167,9 +167,6 @@ def warm_up(config: RenderConfig, root: bool, forecasting: bool) -> None:
     if root:
         warm_up_root(config, forecasting)
     warm_up_passes(config, forecasting)
-
-
-PARTS = 2
 
 
 def warm_up_parts(config: RenderConfig, forecasting: bool) -> list[Callable[[], None]]:
